@@ -1,4 +1,4 @@
-"""Limits of the format: versions, sizes and splits, and the types of cells and sizes."""
+"""Limits of the format: versions, sizes, splits, types of cells; names of the binary fields."""
 
 from __future__ import annotations
 
@@ -20,6 +20,12 @@ SPLITS = ("train", "val", "test")
 
 Range = tuple[int, int]
 """(lowest, highest), both included."""
+
+MAPS_AND_MASKS = ("map", "free", "path_mask", "start_mask", "goal_mask", "optimal_mask")
+"""The fields of samples that hold zeros and ones, which networks take as numbers.
+
+``optimal_moves`` is not among them, because it is a bit set.
+"""
 
 Cell = tuple[int, int]
 """(row, col), origin upper left."""

@@ -35,10 +35,10 @@ FOLDERS = (
     "shards",
     "describe",
     "problems",
+    "plotting",
     "formats",
     "datasets",
     "evaluation",
-    "plotting",
     "cli",
 )
 """Each imports only from the ground files and from the folders before it."""

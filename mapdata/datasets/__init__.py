@@ -1,7 +1,7 @@
-"""Serving maps to torch: datasets, the data module, and the fields of a sample.
+"""Maps and problems as torch samples: datasets, the data module, and the fields of a sample.
 
-`MapDataModule` is imported on first use: Lightning, which it comes from, takes longer to import
-than torch and everything else together, and a plain training loop or a loader worker needs none.
+`MapDataModule` is imported on first use. Its base class comes from Lightning, which takes longer to
+import than torch and all else together. Neither a plain loop nor a loader worker needs it.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from mapdata.datasets.dataset import MapDataset
 from mapdata.datasets.fields import FIELDS, Batch
+from mapdata.datasets.info import DatasetInfo, FieldInfo
 from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.sample import Sample, row
 from mapdata.datasets.sampler import EpochSampler, LateLoader
@@ -20,7 +21,9 @@ if TYPE_CHECKING:
 __all__ = [
     "FIELDS",
     "Batch",
+    "DatasetInfo",
     "EpochSampler",
+    "FieldInfo",
     "LateLoader",
     "MapDataModule",
     "MapDataset",

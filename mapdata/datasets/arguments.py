@@ -1,10 +1,9 @@
-"""The arguments that the datasets and the data module share, checked once."""
+"""`Serving`: the options that the datasets and the data module share, declared and checked once."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass
-from functools import partial
 from typing import Any
 
 import torch
@@ -19,72 +18,94 @@ from mapdata.checks import (
     items_of,
 )
 from mapdata.datasets.fields import FIELDS
-from mapdata.datasets.sample import MAPS_AND_MASKS, Sample
+from mapdata.datasets.sample import Sample
+from mapdata.datasets.transforms import check_transform
+from mapdata.limits import MAPS_AND_MASKS
 from mapdata.movement import Movement, check_movement
-from mapdata.problems.sources import Source, plain_text
+from mapdata.problems.sources import Route, Source, plain_text
 from mapdata.search.api import SEARCHES
 from mapdata.search.footprint import min_squared_clearance
 
 FieldFunction = Callable[[Sample], Any]
+"""A field of the user: it takes the batch so far and returns an array or a tensor."""
+
+Transform = Callable[[Sample], Any]
+"""A function of one sample, which is called after all else."""
 
 DEFAULT_FIELDS = ("map", "start", "goal", "path")
 
+DEFAULT_PROBLEMS = Route()
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, kw_only=True)
 class Serving:
-    """How problems become samples. `MapDataset` describes the arguments, which have the same names.
+    """How stored or generated problems become samples.
+
+    The constructors of `MapDataset`, `OnlineMapDataset` and `MapDataModule` show these options with
+    the same names and defaults; `MapDataset` describes them.
 
     Raises:
-        ValueError: arguments that do not fit, or that would do nothing.
+        ValueError: options that do not fit, or that would have no effect.
     """
 
-    fields: Sequence[str | FieldFunction]
-    problems: Source
-    search: str
-    movement: Movement | None
-    augment: bool
-    sampling_seed: int
-    max_length: int | None
-    radius: float
+    fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS
+    problems: Source = DEFAULT_PROBLEMS
+    search: str = "astar"
+    movement: Movement | None = None
+    augment: bool = False
+    sampling_seed: int = 0
+    max_length: int | None = None
+    dtype: torch.dtype | str | None = None
+    transform: Transform | None = None
+    radius: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the arguments."""
+        """Check the options, and replace numbers of numpy by plain ones."""
         self._check_fields()
-        keep = partial(object.__setattr__, self)  # plain values, which checkpoints can hold
-        keep("fields", tuple(self.fields))
+        self._replace("fields", tuple(self.fields))
         check_choice("search", self.search, SEARCHES)
         if self.movement is not None:
             check_movement(self.movement)
         check_flag("augment", self.augment)
-        min_squared_clearance(self.radius)  # raises an error for a bad radius
-        keep("radius", check_number("radius", self.radius))
-        keep("sampling_seed", check_seed(self.sampling_seed, "sampling_seed"))
+        self._replace("sampling_seed", check_seed(self.sampling_seed, "sampling_seed"))
         if self.max_length is not None:
-            keep("max_length", check_count("max_length", self.max_length))
+            self._replace("max_length", check_count("max_length", self.max_length))
             if "path" not in self.fields:
                 raise ValueError("max_length: expected 'path' among the fields")
+        self._replace("dtype", torch_dtype(self.dtype, self.names))
+        check_transform(self.transform)
+        min_squared_clearance(self.radius)  # raises ValueError if it is not a radius
+        self._replace("radius", check_number("radius", self.radius))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the fields."""
-        return tuple(
-            field if isinstance(field, str) else getattr(field, "__name__", "")
-            for field in self.fields
-        )
+        """The names of the fields; a function has its own name."""
+        return field_names(self.fields)
 
     def plain(self) -> dict[str, Any]:
-        """Return the arguments as plain values, which checkpoints can hold safely.
+        """Return the options as plain values, which checkpoints can hold safely.
 
-        Functions among the fields cannot be kept; then ``fields`` is left out.
+        Functions cannot be held: ``transform`` is always left out, and ``fields`` if there is a
+        function among them.
         """
-        plain = {**vars(self), "problems": plain_text(self.problems)}
+        options = {
+            **vars(self),
+            "problems": plain_text(self.problems),
+            "dtype": None if self.dtype is None else str(self.dtype).removeprefix("torch."),
+        }
         if self.movement is not None:
-            plain["movement"] = astuple(self.movement)
+            options["movement"] = astuple(self.movement)
         if not all(isinstance(field, str) for field in self.fields):
-            del plain["fields"]
-        return plain
+            del options["fields"]
+        del options["transform"]
+        return options
+
+    def _replace(self, name: str, checked: object) -> None:
+        """Set an option of this frozen dataclass to its checked value."""
+        object.__setattr__(self, name, checked)
 
     def _check_fields(self) -> None:
+        """Refuse fields that are unknown, that have no name, or that occur twice."""
         if not items_of(self.fields):
             raise ValueError(
                 f"fields: got {self.fields!r}, expected a sequence of names or functions"
@@ -103,21 +124,31 @@ class Serving:
             )
 
 
+def field_names(fields: Sequence[str | FieldFunction]) -> tuple[str, ...]:
+    """Return the names of fields; a function without a name has an empty one."""
+    return tuple(
+        field if isinstance(field, str) else getattr(field, "__name__", "") for field in fields
+    )
+
+
 def torch_dtype(dtype: torch.dtype | str | None, names: Sequence[str]) -> torch.dtype | None:
-    """Return the type that maps and masks among the fields ``names`` become.
+    """Return the dtype that the maps and masks among the fields are converted to.
 
     Args:
-        dtype: a type of torch or its name, such as "float32"; None leaves them as they are.
+        dtype: a dtype of torch or its name, such as "float32"; None converts nothing.
         names: the names of the fields.
 
     Raises:
-        ValueError: no type, or there is neither map nor mask among the fields.
+        ValueError: ``dtype`` is unknown, or there is neither a map nor a mask among the fields.
     """
     if dtype is None:
         return None
-    named = getattr(torch, dtype.removeprefix("torch."), None) if isinstance(dtype, str) else dtype
-    if isinstance(named, torch.dtype) and set(names) & set(MAPS_AND_MASKS):
-        return named
+    torch_type = dtype
+    if isinstance(dtype, str):
+        torch_type = getattr(torch, dtype.removeprefix("torch."), dtype)
+    is_used = not set(names).isdisjoint(MAPS_AND_MASKS)
+    if isinstance(torch_type, torch.dtype) and is_used:
+        return torch_type
     raise ValueError(
         f"dtype: got {dtype!r}, expected one of torch, such as torch.float32 or its name, and one "
         f"of {', '.join(MAPS_AND_MASKS)} among the fields"

@@ -1,14 +1,15 @@
-"""The shards behind a dataset, opened at first touch and read by one kernel a batch.
+"""`BatchReader`: batches of problems, read from the shards of a dataset by one kernel call each.
 
-A kernel call for each shard would cost more than the work, so the kernels get the addresses of the
-arrays of all open shards.
+A kernel call for each shard would cost more than the reading itself. So the kernels get a table of
+the addresses of the arrays of all open shards. A shard is opened when a problem of it is first
+needed.
 """
 
 from __future__ import annotations
 
 import ctypes
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -48,30 +49,84 @@ ARRAYS = (
     "astar_straight",
     "astar_diagonal",
 )
-"""The arrays that batches are read from: the columns of the address table."""
+"""The arrays of a shard that batches are read from, in the order of the address table's columns."""
 
-_MAPS, _ROOMS, _PAIRS, _SEEDS, _DIAGONAL = 0, 1, 2, 3, 12
+_MAPS = ARRAYS.index("maps")
+_ROOM_OFFSETS = ARRAYS.index("room_offsets")
+_PAIR_OFFSETS = ARRAYS.index("pair_offsets")
+_SEEDS = ARRAYS.index("seeds")
+_DIAGONAL = ARRAYS.index("astar_diagonal")
 
 
-_LONG = 2**40
-"""The length of each view that kernels take: who opened the shard has checked where its arrays
-end.
+class SearchColumns(NamedTuple):
+    """Columns of the address table that hold the labels of one search.
+
+    Attributes:
+        offsets: where the moves of each segment begin.
+        moves: the packed moves of all segments.
+        iterations: the iterations of each segment.
+        straight: the straight moves of each pair of rooms.
+    """
+
+    offsets: int
+    moves: int
+    iterations: int
+    straight: int
+
+
+SEARCH_COLUMNS = {
+    search: SearchColumns(
+        offsets=ARRAYS.index(f"{search}_offsets"),
+        moves=ARRAYS.index(f"{search}_moves"),
+        iterations=ARRAYS.index(f"{search}_iterations"),
+        straight=ARRAYS.index(f"{search}_straight"),
+    )
+    for search in ("bfs", "astar")
+}
+
+_VIEW_LENGTH = 2**40
+"""The length of the views of arrays in kernels.
+
+It is no real length. The shards were checked when they were opened, so no index leaves an array.
 """
 
 
-def _view(array_type: Any, *row: int) -> Any:
-    """Return what generates the code of a view: the array at an address, whose rows are ``row``.
+class StoredProblems(NamedTuple):
+    """Where B problems are stored.
 
-    `numba.carray` does the same, and takes several times as long to compile.
+    Attributes:
+        shards: (B,) int64, number of the shard.
+        maps: (B,) int64, number of the map in its shard.
+        first_rooms: (B,) int64, the room where the problem starts, -1 for random problems.
+        second_rooms: (B,) int64, the room of its goal, -1 for random problems.
     """
-    item = array_type.dtype.bitwidth // 8
+
+    shards: Ints
+    maps: Ints
+    first_rooms: Ints
+    second_rooms: Ints
+
+
+# --- views of arrays at an address --------------------------------------------------------------
+
+
+def _view(array_type: Any, *row_shape: int) -> Any:
+    """Return the code generator of a function that turns an address into an array.
+
+    `numba.carray` generates the same code, but takes several times as long to compile.
+
+    Args:
+        array_type: numba's type of the array.
+        row_shape: shape of one row of the array.
+    """
+    item_size = array_type.dtype.bitwidth // 8
 
     def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         array = context.make_array(array_type)(context, builder)
-        data = builder.inttoptr(arguments[0], array.data.type)
-        shape = [context.get_constant(types.intp, length) for length in (_LONG, *row)]
-        strides = [context.get_constant(types.intp, item * step) for step in (*row, 1)]
-        populate_array(array, data, shape, strides, item, None)  # type: ignore[no-untyped-call]
+        pointer = builder.inttoptr(arguments[0], array.data.type)
+        shape = [context.get_constant(types.intp, n) for n in (_VIEW_LENGTH, *row_shape)]
+        strides = [context.get_constant(types.intp, item_size * n) for n in (*row_shape, 1)]
+        populate_array(array, pointer, shape, strides, item_size, None)  # type: ignore[no-untyped-call]
         return array._getvalue()
 
     return generate
@@ -93,54 +148,76 @@ def _compiled_cells(_context: Any, address: Any) -> Any:
 
 def _plain_array(address: Int, dtype: Any) -> Any:
     """Return the array at an address, as a view."""
-    return numba.carray(ctypes.c_void_p(int(address)), _LONG, dtype)  # type: ignore[attr-defined]
+    pointer = ctypes.c_void_p(int(address))
+    return numba.carray(pointer, _VIEW_LENGTH, dtype)  # type: ignore[attr-defined]
 
 
 def _plain_cells(address: Int) -> Any:
-    """Return the seed points at an address, as a view (_, 2)."""
+    """Return the cells at an address, as a view (_, 2)."""
     pointer = ctypes.c_void_p(int(address))
-    return numba.carray(pointer, (_LONG, 2), np.int16)  # type: ignore[attr-defined]
+    return numba.carray(pointer, (_VIEW_LENGTH, 2), np.int16)  # type: ignore[attr-defined]
 
 
 _array: Any = _compiled_array if COMPILED else _plain_array
 _cells: Any = _compiled_cells if COMPILED else _plain_cells
 
 
+# --- kernels ------------------------------------------------------------------------------------
+# ``table`` (shards, columns) int64 holds the addresses of the arrays of all shards; the shards that
+# a kernel reads must be open.
+
+
 @kernel
 def read_maps(table: Ints, shards: Ints, maps: Ints, grids: Bytes) -> None:
     """Unpack map ``maps[b]`` of shard ``shards[b]`` into ``grids[b]``, (B, H, W)."""
-    octets = grids.shape[1] * ((grids.shape[2] + WORD - 1) // WORD) * (WORD // 8)
+    words_per_row = (grids.shape[2] + WORD - 1) // WORD
+    bytes_per_map = grids.shape[1] * words_per_row * (WORD // 8)
     for b in range(len(shards)):
-        unpack_map(_array(table[shards[b], _MAPS], np.uint8), maps[b] * octets, grids[b])
+        packed_maps = _array(table[shards[b], _MAPS], np.uint8)
+        unpack_map(packed_maps, maps[b] * bytes_per_map, grids[b])
 
 
 @kernel
 def read_seed_points(table: Ints, shards: Ints, maps: Ints, rooms: Ints, points: Ints) -> None:
     """Write the seed point of room ``rooms[b]`` of each map to ``points``, (B, 2)."""
     for b in range(len(shards)):
-        room = _array(table[shards[b], _ROOMS], np.int64)[maps[b]] + rooms[b]
-        stored = _cells(table[shards[b], _SEEDS])
-        points[b, 0] = stored[room, 0]
-        points[b, 1] = stored[room, 1]
+        room = _array(table[shards[b], _ROOM_OFFSETS], np.int64)[maps[b]] + rooms[b]
+        seeds = _cells(table[shards[b], _SEEDS])
+        points[b, 0] = seeds[room, 0]
+        points[b, 1] = seeds[room, 1]
 
 
 @kernel
-def find_paths(
-    table: Ints, shards: Ints, maps: Ints, rooms: Ints, search: Int, paths: Ints
+def locate_paths(
+    table: Ints,
+    shards: Ints,
+    maps: Ints,
+    rooms: Ints,
+    offsets_column: Int,
+    iterations_column: Int,
+    segments: Ints,
 ) -> None:
-    """Find the stored path from room ``rooms[b]`` to the next one of each map.
+    """Locate the stored path from room ``rooms[b]`` to the next room of each map.
 
-    ``paths`` (3, B) is filled with its first move in the shard, its number of moves, and the
-    iterations of the search.
+    Args:
+        table: addresses of the arrays of all shards.
+        shards: (B,) shard of each problem.
+        maps: (B,) its map in the shard.
+        rooms: (B,) its first room.
+        offsets_column: the column of the offsets of the search's segments.
+        iterations_column: the column of the search's iterations.
+        segments: (3, B), filled with the number of the path's first move in its shard, the number
+            of its moves, and the iterations of the search.
     """
     for b in range(len(shards)):
         shard = shards[b]
-        # A map of n rooms has n - 1 segments, so those of map m begin m before its rooms.
-        segment = _array(table[shard, _ROOMS], np.int64)[maps[b]] - maps[b] + rooms[b]
-        moves = _array(table[shard, search], np.int64)
-        paths[0, b] = moves[segment]
-        paths[1, b] = moves[segment + 1] - moves[segment]
-        paths[2, b] = _array(table[shard, search + 2], np.int32)[segment]
+        # A map of n rooms has n - 1 segments. So m maps have m segments fewer than rooms, and the
+        # segments of map m begin m places before its rooms.
+        segment = _array(table[shard, _ROOM_OFFSETS], np.int64)[maps[b]] - maps[b] + rooms[b]
+        offsets = _array(table[shard, offsets_column], np.int64)
+        segments[0, b] = offsets[segment]
+        segments[1, b] = offsets[segment + 1] - offsets[segment]
+        segments[2, b] = _array(table[shard, iterations_column], np.int32)[segment]
 
 
 @kernel
@@ -149,71 +226,74 @@ def read_paths(
     shards: Ints,
     maps: Ints,
     rooms: Ints,
-    search: Int,
+    moves_column: Int,
     bits: Int,
     size: tuple[Int, Int],
-    paths: Ints,
+    segments: Ints,
     cells: Ints,
     offsets: Ints,
 ) -> Int:
-    """Read the paths that `find_paths` found.
+    """Read the paths that `locate_paths` located.
 
     Args:
         table: addresses of the arrays of all shards.
-        shards: (B,) shard of each problem, an open one.
+        shards: (B,) shard of each problem.
         maps: (B,) its map in the shard.
         rooms: (B,) its first room.
-        search: the column of the table where the arrays of the search begin.
-        bits: of a stored move.
+        moves_column: the column of the search's packed moves.
+        bits: number of bits of a stored move, 2 or 4.
         size: (rows, columns) of a map.
-        paths: as from `find_paths`.
+        segments: (3, B), as from `locate_paths`.
         cells: (M, 2) with room for all paths, filled with them, one after another.
-        offsets: (B + 1,), filled with where each path begins, and where the last one ends. A path
-            that does not arrive has no cells.
+        offsets: (B + 1,), filled with where each path begins, and where the last one ends. Where
+            there is no path, there are no cells.
 
     Returns:
         The number of the first damaged path, which leaves the map or ends elsewhere, or -1.
     """
-    # Move k stands in byte k >> shift, and there from bit (k & within) * bits on.
-    shift = np.uint64(4 // bits)
-    within = np.uint64(8 // bits - 1)
-    mask = np.uint64((1 << bits) - 1)
+    # A byte holds 8 / bits moves, the first of them in its lowest bits. So move k is in byte
+    # k >> byte_shift, from bit (k & slot_mask) * bits on.
+    byte_shift = np.uint64(4 // bits)
+    slot_mask = np.uint64(8 // bits - 1)
+    move_mask = np.uint64((1 << bits) - 1)
     height = np.uint64(size[0])
     width = np.uint64(size[1])
-    at = 0
+    cell_count = 0
     for b in range(len(shards)):
         shard = shards[b]
-        length = paths[1, b]
-        room = _array(table[shard, _ROOMS], np.int64)[maps[b]] + rooms[b]
-        stored = _cells(table[shard, _SEEDS])
-        row = np.int64(stored[room, 0])
-        column = np.int64(stored[room, 1])
-        goal_row = stored[room + 1, 0]
-        goal_column = stored[room + 1, 1]
-        packed = _array(table[shard, search + 1], np.uint8)
-        offsets[b] = at
-        if length == 0 and (row != goal_row or column != goal_column):
-            continue
-        cells[at, 0] = row
-        cells[at, 1] = column
-        for k in range(paths[0, b], paths[0, b] + length):
-            place = np.uint64(k)
-            bit = np.uint8((place & within) * np.uint64(bits))
-            move = np.uint64(packed[place >> shift] >> bit) & mask
+        first_move = segments[0, b]
+        move_count = segments[1, b]
+        room = _array(table[shard, _ROOM_OFFSETS], np.int64)[maps[b]] + rooms[b]
+        seeds = _cells(table[shard, _SEEDS])
+        row = np.int64(seeds[room, 0])
+        column = np.int64(seeds[room, 1])
+        goal_row = seeds[room + 1, 0]
+        goal_column = seeds[room + 1, 1]
+        packed_moves = _array(table[shard, moves_column], np.uint8)
+        offsets[b] = cell_count
+        if move_count == 0 and (row != goal_row or column != goal_column):
+            continue  # there is no path
+        cells[cell_count, 0] = row
+        cells[cell_count, 1] = column
+        for k in range(first_move, first_move + move_count):
+            # Unsigned indices spare numba the test for negative ones.
+            index = np.uint64(k)
+            bit = np.uint8((index & slot_mask) * np.uint64(bits))
+            move = np.uint64(packed_moves[index >> byte_shift] >> bit) & move_mask
             if move > 7:
                 return b
             row += STEPS[move, 0]
             column += STEPS[move, 1]
-            # As unsigned numbers, those below 0 are large.
+            # A negative coordinate is a large number when it is taken as unsigned.
             if np.uint64(row) >= height or np.uint64(column) >= width:
                 return b
-            at += 1
-            cells[np.uint64(at), 0] = row
-            cells[np.uint64(at), 1] = column
-        at += 1
+            cell_count += 1
+            cells[np.uint64(cell_count), 0] = row
+            cells[np.uint64(cell_count), 1] = column
+        cell_count += 1
         if row != goal_row or column != goal_column:
             return b
-    offsets[len(shards)] = at
+    offsets[len(shards)] = cell_count
     return -1
 
 
@@ -222,42 +302,58 @@ def read_rooms(
     table: Ints,
     shards: Ints,
     maps: Ints,
-    straight: Int,
+    straight_column: Int,
     has_diagonals: Int,
     diagonal_cost: float,
-    most: Int,
+    max_rooms: Int,
 ) -> tuple[Float32s, Ints]:
-    """Return connection matrices (B, R, R), -2 padding, and seed points (B, R, 2), -1 padding.
+    """Read the connection matrices and seed points of maps.
 
-    R is ``most``.
+    Args:
+        table: addresses of the arrays of all shards.
+        shards: (B,) shard of each map.
+        maps: (B,) the map in its shard.
+        straight_column: the column of the search's straight moves.
+        has_diagonals: whether diagonal moves are stored beside the straight ones.
+        diagonal_cost: cost of a diagonal move.
+        max_rooms: R, rooms in a matrix.
+
+    Returns:
+        Matrices (B, R, R), -1 no connection, -2 padding; seed points (B, R, 2), -1 padding.
     """
-    matrices = np.full((len(shards), most, most), -2, np.float32)
-    seed_points = np.full((len(shards), most, 2), -1)
+    matrices = np.full((len(shards), max_rooms, max_rooms), -2, np.float32)
+    seed_points = np.full((len(shards), max_rooms, 2), -1)
     for b in range(len(shards)):
         shard = shards[b]
-        rooms = _array(table[shard, _ROOMS], np.int64)
-        first = rooms[maps[b]]
-        last = rooms[maps[b] + 1]
-        pair = _array(table[shard, _PAIRS], np.int64)[maps[b]]
-        stored = _cells(table[shard, _SEEDS])
-        moves = _array(table[shard, straight], np.int32)
-        diagonals = _array(table[shard, _DIAGONAL], np.int32)
-        for i in range(last - first):
-            seed_points[b, i, 0] = stored[first + i, 0]
-            seed_points[b, i, 1] = stored[first + i, 1]
+        room_offsets = _array(table[shard, _ROOM_OFFSETS], np.int64)
+        first_room = room_offsets[maps[b]]
+        room_count = room_offsets[maps[b] + 1] - first_room
+        pair = _array(table[shard, _PAIR_OFFSETS], np.int64)[maps[b]]
+        seeds = _cells(table[shard, _SEEDS])
+        straight_moves = _array(table[shard, straight_column], np.int32)
+        diagonal_moves = _array(table[shard, _DIAGONAL], np.int32)
+        for i in range(room_count):
+            seed_points[b, i, 0] = seeds[first_room + i, 0]
+            seed_points[b, i, 1] = seeds[first_room + i, 1]
             matrices[b, i, i] = 0
-            for j in range(i + 1, last - first):
-                cost = float(moves[pair])
+            for j in range(i + 1, room_count):
+                cost = float(straight_moves[pair])  # -1 without a connection
                 if has_diagonals and cost >= 0:
-                    cost += diagonals[pair] * diagonal_cost
-                matrices[b, i, j] = matrices[b, j, i] = cost
+                    cost += diagonal_moves[pair] * diagonal_cost
+                matrices[b, i, j] = cost
+                matrices[b, j, i] = cost
                 pair += 1
     return matrices, seed_points
 
 
 @kernel
 def connected_problems(
-    table: Ints, shard: Int, problems: Int32s, size: tuple[Int, Int], least: Int, rule: MoveRule
+    table: Ints,
+    shard: Int,
+    problems: Int32s,
+    size: tuple[Int, Int],
+    min_clearance: Int,
+    rule: MoveRule,
 ) -> Flags:
     """Return whether a path connects the two rooms of each problem of a shard, (P,) bool.
 
@@ -265,34 +361,39 @@ def connected_problems(
 
     Args:
         table: addresses of the arrays of all shards.
-        shard: which of them, an open one.
+        shard: number of the shard, an open one.
         problems: (P, 3) int32, (map in the shard, room, room), in ascending order of maps.
         size: (rows, columns) of a map.
-        least: clearance of the cells that are free for the robot, as `inflate_all` takes it.
-        rule: of movement.
+        min_clearance: clearance of the cells that are free for the robot, as `inflate_all` takes
+            it.
+        rule: rule of movement.
     """
-    packed = _array(table[shard, _MAPS], np.uint8)
-    octets = size[0] * ((size[1] + WORD - 1) // WORD) * (WORD // 8)
-    offsets = _array(table[shard, _ROOMS], np.int64)
-    stored = _cells(table[shard, _SEEDS])
+    packed_maps = _array(table[shard, _MAPS], np.uint8)
+    words_per_row = (size[1] + WORD - 1) // WORD
+    bytes_per_map = size[0] * words_per_row * (WORD // 8)
+    room_offsets = _array(table[shard, _ROOM_OFFSETS], np.int64)
+    seeds = _cells(table[shard, _SEEDS])
     grids = np.empty((1, size[0], size[1]), np.uint8)
     lattice = lattice_of(size, rule)
     scratch = new_scratch(BFS, lattice)
-    components = np.empty(0, np.int64)
+    components = np.empty(0, np.int64)  # of the rooms of the labelled map
     connected = np.empty(len(problems), np.bool_)
     labelled_map: Int = -1
     for p in range(len(problems)):
-        number = np.int64(problems[p, 0])
-        if number != labelled_map:
-            labelled_map = number
-            unpack_map(packed, number * octets, grids[0])
-            inflate_all(grids, least)
+        map_index = np.int64(problems[p, 0])
+        if map_index != labelled_map:
+            labelled_map = map_index
+            unpack_map(packed_maps, map_index * bytes_per_map, grids[0])
+            inflate_all(grids, min_clearance)
             load(grids[0], scratch.came_from)
-            cells = cells_of(stored[offsets[number] : offsets[number + 1]], lattice)
-            components = connected_components(cells, lattice, scratch)
-        first = components[problems[p, 1]]
-        connected[p] = first >= 0 and first == components[problems[p, 2]]
+            rooms = seeds[room_offsets[map_index] : room_offsets[map_index + 1]]
+            components = connected_components(cells_of(rooms, lattice), lattice, scratch)
+        component = components[problems[p, 1]]
+        connected[p] = component >= 0 and component == components[problems[p, 2]]
     return connected
+
+
+# --- the reader ---------------------------------------------------------------------------------
 
 
 class BatchReader:
@@ -300,10 +401,12 @@ class BatchReader:
 
     Attributes:
         root, shards, manifests: the dataset.
-        map_size: of all its maps.
+        map_size: (rows, columns) of all its maps.
         movement: of the stored labels.
-        most_seed_points: R, the largest number of seed points that a map can have.
-        least: clearance of the cells that are served as free, as `min_squared_clearance` gives it.
+        max_seed_points: R, the largest number of seed points that a map can have.
+        min_clearance: clearance of the cells that are served as free, as from
+            `min_squared_clearance`.
+        offsets: number of the first problem of each shard, and of all problems.
     """
 
     def __init__(
@@ -317,11 +420,11 @@ class BatchReader:
         """Read the manifests; no shard is opened yet.
 
         Args:
-            root: as in `MapDataset`, like the others.
+            root: folder or URL of a dataset, or several of them.
             split: "train", "val", "test" or None for all.
-            problems: what is asked of the maps.
+            problems: which problems are served.
             radius: of the robot, in metres.
-            movement: that is served; None for the stored one.
+            movement: the served movement; None for the stored one.
 
         Raises:
             DatasetNotFoundError, ShardError, ValueError: as `Root.open`; no shard is finished.
@@ -332,32 +435,35 @@ class BatchReader:
         self.manifests = self.root.manifests
         self.map_size = self.root.map_size
         self.movement = self.root.movement
-        self.most_seed_points = max(manifest.max_seed_points for manifest in self.manifests)
-        if self.most_seed_points > MAX_ROOMS:  # matrices have room for all
+        self.max_seed_points = max(manifest.max_seed_points for manifest in self.manifests)
+        if self.max_seed_points > MAX_ROOMS:
             raise ShardError(
-                f"{self.root}: the manifest says maps of {self.most_seed_points} rooms, expected "
+                f"{self.root}: the manifest says maps of {self.max_seed_points} rooms, expected "
                 f"up to {MAX_ROOMS}"
             )
         self._split = split
-        # only with a radius must all roots have one resolution
-        self.least = min_squared_clearance(radius, self.root.resolution) if radius else 0
-        self._cuts_corners = (movement or self.movement).corner_cutting
+        # `Root.resolution` refuses roots of several resolutions, which matter only with a radius.
+        self.min_clearance = min_squared_clearance(radius, self.root.resolution) if radius else 0
+        served_movement = movement or self.movement
+        self._cuts_corners = served_movement.corner_cutting
         self._problems = problems
         self._labels_decide = True
         if not isinstance(problems, Random) and not problems.unsolvable:
-            # Straight moves and diagonal ones beside two free cells connect the same cells, since
-            # two straight moves lead where such a diagonal one leads. Cutting corners connects
-            # more, and a radius less, than the stored labels say.
-            is_same_rule = self._cuts_corners == self.movement.corner_cutting
-            self._labels_decide = is_same_rule and self.least <= 1
-            if self._cuts_corners and not is_same_rule:
-                # Of the problems without a stored path, some have a path here.
+            # Problems without a path are left out. The stored labels say which, unless the served
+            # maps and moves connect other cells. Straight moves alone connect the same cells as
+            # straight moves and diagonal ones that need two free cells beside them, because two
+            # straight moves can replace such a diagonal one. Cutting corners connects more cells.
+            # A radius occupies cells, so it connects fewer.
+            same_corners = self._cuts_corners == self.movement.corner_cutting
+            self._labels_decide = same_corners and self.min_clearance <= 1
+            if self._cuts_corners and not same_corners:
+                # Problems without a stored path may have one that cuts corners.
                 self._problems = replace(problems, unsolvable=True)
-        self.offsets = offsets_of([self._count(entry) for _, _, entry in self.shards])
-        # of the arrays of each shard, for the kernels; 0 before it is opened
+        self.offsets = offsets_of([self._problem_count(entry) for _, _, entry in self.shards])
+        # Row k holds the addresses of the `ARRAYS` of shard k, and zeros until it is opened.
         self._addresses = np.zeros((len(self.shards), len(ARRAYS)), np.int64)
         self._open: dict[int, Shard] = {}
-        # Room for (map in the shard, room, room) of every problem; a shard's rows are filled when
+        # Row p is (map in its shard, room, room) of problem p. The rows of a shard are filled when
         # it is opened.
         try:
             self._rows = np.empty((self.offsets[-1], 3), np.int32)
@@ -371,61 +477,66 @@ class BatchReader:
         """Return the number of problems."""
         return int(self.offsets[-1])
 
-    def find(self, indices: Ints) -> tuple[Ints, Ints, Ints, Ints]:
-        """Return (shard, map in the shard, room, room) of each problem, and open its shard."""
+    def locate(self, indices: Ints) -> StoredProblems:
+        """Return where problems are stored, after opening their shards.
+
+        Raises:
+            ShardError, ConnectionError: as `open`.
+        """
         shards = np.searchsorted(self.offsets, indices, side="right") - 1
         unopened = shards[self._addresses[shards, 0] == 0]
         for k in set(unopened.tolist()):
             self.open(k)
-        maps, first, second = np.ascontiguousarray(self._rows[indices].T, np.int64)
-        return shards, maps, first, second
+        maps, first_rooms, second_rooms = np.ascontiguousarray(self._rows[indices].T, np.int64)
+        return StoredProblems(shards, maps, first_rooms, second_rooms)
 
     def open(self, k: int) -> Shard:
-        """Return shard ``k``, opened and checked at its first touch.
+        """Return shard ``k``; the first call opens and checks it.
 
-        A larger file may have taken its place since: its first maps are the same.
+        When a dataset grows, a shard may be replaced by a larger one after the manifest was read.
+        Then the larger one is opened, whose first maps are the same.
 
         Raises:
-            ShardError: the file is gone, or not what the manifest says.
-            ConnectionError: it lies at a URL, and cannot be fetched.
+            ShardError: the file is missing, or is not what the manifest says.
+            ConnectionError: the file is at a URL, and cannot be fetched.
         """
-        if self._addresses[k, 0]:  # which come last: another thread may be about to write them
+        # The addresses are written last, because other threads test them without a lock.
+        if self._addresses[k, 0]:
             return self._open[k]
-        place, _, entry = self.shards[k]
+        location, _, entry = self.shards[k]
         try:
             shard = self.root.open_shard(k)
         except (FileNotFoundError, ShardError):
-            # It may have been replaced since the manifest was read, as by a larger one when the
-            # dataset grew.
-            now = Root.open(self.root.locations[place])
-            successor = _successor(self.manifests[place], now.manifests[0], entry)
+            current_root = Root.open(self.root.locations[location])
+            successor = _successor(self.manifests[location], current_root.manifests[0], entry)
             if successor is None:
                 raise
-            shard = now.open_shard(successor)
-        # Kernels rely on it.
-        if np.diff(shard.arrays["room_offsets"]).max(initial=0) > self.most_seed_points:
+            shard = current_root.open_shard(successor)
+        # The kernels write as many seed points into arrays of `max_seed_points` without a check.
+        if np.diff(shard.arrays["room_offsets"]).max(initial=0) > self.max_seed_points:
             raise ShardError(
                 f"{shard.path}: holds a map of more rooms than the manifest says "
-                f"({self.most_seed_points})"
+                f"({self.max_seed_points})"
             )
         rows = problem_rows(shard, self._split, self._problems)
-        rows = rows[rows[:, 0] < entry.maps]  # of a successor, too
-        first, last = self.offsets[k : k + 2].tolist()
-        if len(rows) != last - first:
+        rows = rows[rows[:, 0] < entry.maps]  # a larger successor holds further maps
+        first, stop = self.offsets[k : k + 2].tolist()
+        if len(rows) != stop - first:
             raise ShardError(
-                f"{shard.path}: holds {len(rows)} problems, the manifest says {last - first}"
+                f"{shard.path}: holds {len(rows)} problems, the manifest says {stop - first}"
             )
-        self._rows[first:last] = rows  # which has room for the problems of all shards
-        # Of two threads, the first one's: a kernel may be using its addresses.
+        self._rows[first:stop] = rows
+        # If two threads open a shard at once, the first shard stays: a kernel may be reading its
+        # arrays already.
         shard = self._open.setdefault(k, shard)
         self._addresses[k] = [shard.arrays[name].ctypes.data for name in ARRAYS]
         return shard
 
-    def solvable(self) -> Ints | None:
+    def solvable_problems(self) -> Ints | None:
         """Return the numbers of the problems that have a path as they are served, ascending.
 
-        None where these are all problems, or where those without a path are wanted, too. Else the
-        maps are labelled under the served movement and radius, for which every shard is opened.
+        None stands for all problems, where the stored labels have decided already. Otherwise all
+        shards are opened and their maps are labelled under the served movement and radius.
 
         Raises:
             ShardError, ConnectionError: as `open`.
@@ -433,119 +544,174 @@ class BatchReader:
         if self._labels_decide:
             return None
         connected = np.empty(len(self), np.bool_)
-        # Of the moves only those that cut corners connect more cells than straight ones do.
-        rule = (2 if self._cuts_corners else 0, UNIT)
+        # Diagonal moves connect more cells than straight ones only if they cut corners. Then the
+        # rule has diagonals of kind 2; a path need not be optimal here, so each move costs 1.
+        diagonals = 2 if self._cuts_corners else 0
+        rule = (diagonals, UNIT)
         for k in range(len(self.shards)):
             self.open(k)
-            problems = slice(*self.offsets[k : k + 2].tolist())
-            connected[problems] = connected_problems(
-                self._addresses, k, self._rows[problems], self.map_size, self.least, rule
+            first, stop = self.offsets[k : k + 2].tolist()
+            connected[first:stop] = connected_problems(
+                self._addresses,
+                k,
+                self._rows[first:stop],
+                self.map_size,
+                self.min_clearance,
+                rule,
             )
         return np.flatnonzero(connected)
 
-    def _count(self, entry: Entry) -> int:
-        names = [self._problems.counted]
-        if self._problems.unsolvable:
-            names.append(f"{self._problems.counted}_unsolvable")
+    def _problem_count(self, entry: Entry) -> int:
+        """Return the number of served problems of a shard, as its manifest says.
+
+        Raises:
+            ShardError: a number that the file cannot hold.
+        """
         splits = [self._split] if self._split else SPLITS
-        count = sum(int(entry.counts[split][name]) for split in splits for name in names)
-        if count > entry.bytes:  # room is made for all, and each takes more than a byte
+        counts = stored_counts(entry, self._problems)
+        count = sum(counts[split] for split in splits)
+        # Memory is reserved for all problems before their shards are opened. Each problem takes
+        # more than a byte of its file, so a false number is refused here.
+        if count > entry.bytes:
             raise ShardError(
                 f"{entry.name}: the manifest says {count} problems in {entry.bytes} bytes"
             )
         return count
 
-    def grids(self, shards: Ints, maps: Ints) -> Bytes:
-        """Return the maps for a robot of the radius, (B, H, W)."""
-        grids = np.empty((len(shards), *self.map_size), np.uint8)
-        read_maps(self._addresses, shards, maps, grids)
-        if self.least > 1:  # else nothing changes, and the kernel need not be compiled
-            inflate_all(grids, self.least)
+    def grids(self, stored: StoredProblems) -> Bytes:
+        """Return the maps of problems, (B, H, W), inflated by the radius of the robot."""
+        grids = np.empty((len(stored.shards), *self.map_size), np.uint8)
+        read_maps(self._addresses, stored.shards, stored.maps, grids)
+        if self.min_clearance > 1:  # a smaller clearance occupies no cell: spare the compilation
+            inflate_all(grids, self.min_clearance)
         return grids
 
-    def seed_points(self, shards: Ints, maps: Ints, rooms: Ints) -> Ints:
-        """Return the seed of one room of each map, (B, 2)."""
-        points = np.empty((len(shards), 2), np.int64)
-        read_seed_points(self._addresses, shards, maps, rooms, points)
+    def seed_points(self, stored: StoredProblems, rooms: Ints) -> Ints:
+        """Return the seed point of room ``rooms[b]`` of each map, (B, 2)."""
+        points = np.empty((len(stored.shards), 2), np.int64)
+        read_seed_points(self._addresses, stored.shards, stored.maps, rooms, points)
         return points
 
-    def paths(self, shards: Ints, maps: Ints, rooms: Ints, search: str) -> Paths:
-        """Return the stored paths from each room to the next.
+    def split_codes(self, stored: StoredProblems) -> Ints:
+        """Return the split of each problem, (B,): its number in `SPLITS`."""
+        codes = np.empty(len(stored.shards), np.int64)
+        for k in np.unique(stored.shards).tolist():
+            in_shard = stored.shards == k
+            codes[in_shard] = self.open(k).arrays["split"][stored.maps[in_shard]]
+        return codes
+
+    def paths(self, stored: StoredProblems, search: str) -> Paths:
+        """Return the stored paths from the first room of each problem to the next room.
 
         Raises:
             ShardError: a stored path leaves the map or does not end at its goal.
         """
-        bits = bits_per_move(self.movement)
-        column = ARRAYS.index(f"{search}_offsets")
-        paths = np.empty((3, len(shards)), np.int64)
-        find_paths(self._addresses, shards, maps, rooms, column, paths)
-        cells = np.empty((paths[1].sum() + len(shards), 2), np.int64)  # a move less than cells
+        shards, maps, rooms, _ = stored
+        columns = SEARCH_COLUMNS[search]
+        segments = np.empty((3, len(shards)), np.int64)
+        locate_paths(
+            self._addresses, shards, maps, rooms, columns.offsets, columns.iterations, segments
+        )
+        move_counts = segments[1]
+        iterations = segments[2]
+        max_cells = move_counts.sum() + len(shards)  # a path of k moves has k + 1 cells
+        cells = np.empty((max_cells, 2), np.int64)
         offsets = np.empty(len(shards) + 1, np.int64)
-        bad = read_paths(
+        damaged = read_paths(
             self._addresses,
             shards,
             maps,
             rooms,
-            column,
-            bits,
+            columns.moves,
+            bits_per_move(self.movement),
             self.map_size,
-            paths,
+            segments,
             cells,
             offsets,
         )
-        if bad >= 0:
-            place, _, entry = self.shards[shards[bad]]
-            path = f"{self.root.locations[place]}/{entry.name}"
-            number = entry.start + maps[bad]
-            raise ShardError(f"{path}: a stored path of map {number} is damaged")
-        return Paths(cells[: offsets[-1]], offsets, paths[2])
+        if damaged >= 0:
+            location, _, entry = self.shards[shards[damaged]]
+            file = f"{self.root.locations[location]}/{entry.name}"
+            map_number = entry.start + maps[damaged]
+            raise ShardError(f"{file}: a stored path of map {map_number} is damaged")
+        return Paths(cells[: offsets[-1]], offsets, iterations)
 
-    def rooms(self, shards: Ints, maps: Ints, search: str) -> Rooms:
+    def rooms(self, stored: StoredProblems, search: str) -> Rooms:
         """Return the stored connection matrices (B, R, R) and the seed points (B, R, 2)."""
-        found = read_rooms(
+        matrices, seed_points = read_rooms(
             self._addresses,
-            shards,
-            maps,
-            ARRAYS.index(f"{search}_straight"),
+            stored.shards,
+            stored.maps,
+            SEARCH_COLUMNS[search].straight,
             search == "astar" and self.movement.connectivity == 8,
             self.movement.diagonal_cost,
-            self.most_seed_points,
+            self.max_seed_points,
         )
-        return Rooms(*found)
+        return Rooms(matrices, seed_points)
 
 
-def _successor(before: Manifest, now: Manifest, entry: Entry) -> int | None:
-    """Return which shard holds the maps of ``entry`` now.
+def stored_counts(entry: Entry, problems: Source) -> dict[str, int]:
+    """Return the number of problems of a shard by split, under the stored movement.
 
-    None where it is the same shard, or where other maps took their place.
+    Args:
+        entry: of the shard in its manifest.
+        problems: which problems are counted.
     """
-    drawn = before.identity is not None and before.identity == now.identity
-    for k, other in enumerate(now.shards):
-        same = drawn or (other.stop, other.content_hash) == (entry.stop, entry.content_hash)
-        if same and other.start == entry.start and other.stop >= entry.stop and other != entry:
+    names = [problems.counted]
+    if problems.unsolvable:
+        names.append(f"{problems.counted}_unsolvable")
+    return {split: sum(int(entry.counts[split][name]) for name in names) for split in SPLITS}
+
+
+def _successor(manifest: Manifest, current: Manifest, entry: Entry) -> int | None:
+    """Return the number of the shard that holds the maps of ``entry`` now.
+
+    Args:
+        manifest: the manifest that was read first, with ``entry``.
+        current: the manifest of now.
+        entry: a shard that could not be opened.
+
+    Returns:
+        None if the shard is unchanged, or if it was replaced by other maps.
+    """
+    same_recipe = manifest.identity is not None and manifest.identity == current.identity
+    for k, candidate in enumerate(current.shards):
+        covers = candidate.start == entry.start and candidate.stop >= entry.stop
+        # Without a recipe only the hash tells that maps are the same.
+        same_maps = same_recipe or (
+            candidate.stop == entry.stop and candidate.content_hash == entry.content_hash
+        )
+        if covers and same_maps and candidate != entry:
             return k
     return None
 
 
 def problem_rows(shard: Shard, split: str | None, problems: Source) -> Int32s:
-    """Return (P, 3) of the problems in a shard: map, room, room (-1 where problems are drawn)."""
+    """Return the problems of a shard, (P, 3) int32: map, room, room.
+
+    The rooms of a random problem, which is drawn later, are -1.
+    """
     arrays = shard.arrays
-    rooms = np.diff(arrays["room_offsets"])
-    maps = np.arange(len(rooms))
+    room_counts = np.diff(arrays["room_offsets"])
     if isinstance(problems, Random):
-        first = second = np.full_like(maps, -1)
-        keep = np.ones_like(maps, np.bool_)
+        maps = np.arange(len(room_counts))
+        no_room = np.full_like(maps, -1)
+        rows = np.stack((maps, no_room, no_room), axis=1).astype(np.int32)
     else:
-        maps = np.repeat(maps, rooms * (rooms - 1) // 2)
-        first, second = np.concatenate([pairs_of(n) for n in rooms.tolist()], axis=1)
+        pair_counts = room_counts * (room_counts - 1) // 2
+        maps = np.repeat(np.arange(len(room_counts)), pair_counts)
+        first, second = np.concatenate([pairs_of(n) for n in room_counts.tolist()], axis=1)
+        rows = np.stack((maps, first, second), axis=1).astype(np.int32)
         seed_points = arrays["seeds"]
-        base = arrays["room_offsets"][maps]
-        solvable = arrays["astar_straight"] >= 0
-        same = (seed_points[base + first] == seed_points[base + second]).all(axis=1)
-        keep = np.where(solvable, ~same, problems.unsolvable)
+        first_room = arrays["room_offsets"][maps]
+        starts = seed_points[first_room + first]
+        goals = seed_points[first_room + second]
+        ends_differ = (starts != goals).any(axis=1)
+        has_path = arrays["astar_straight"] >= 0
+        is_served = np.where(has_path, ends_differ, problems.unsolvable)
         if isinstance(problems, Route):
-            keep &= second == first + 1
-    rows = np.stack((maps, first, second), axis=1).astype(np.int32)[keep]
+            is_served &= second == first + 1
+        rows = rows[is_served]
     if split is not None:
         rows = rows[arrays["split"][rows[:, 0]] == SPLITS.index(split)]
     return rows

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from importlib.util import find_spec
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,13 +14,25 @@ import pytorch_lightning as pl
 import torch
 from torch.utils.data import DataLoader
 
-from mapdata.checks import check_count, items_of, known_values, plain_values
-from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving, torch_dtype
-from mapdata.datasets.dataset import MapDataset, Transform
+from mapdata.checks import (
+    check_choice,
+    check_count,
+    check_flag,
+    items_of,
+    known_values,
+    plain_values,
+)
+from mapdata.datasets.arguments import (
+    DEFAULT_FIELDS,
+    FieldFunction,
+    Serving,
+    Transform,
+    torch_dtype,
+)
+from mapdata.datasets.dataset import MapDataset
 from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.sample import Sample, cast
 from mapdata.datasets.sampler import EpochSampler, LateLoader
-from mapdata.datasets.transforms import check_transform
 from mapdata.generators.generator import MapGenerator, identity
 from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe
 from mapdata.limits import SPLITS
@@ -28,6 +41,9 @@ from mapdata.problems.sources import SourceLike, problem_source
 from mapdata.shards.builder import build
 from mapdata.shards.locations import is_url, locations
 from mapdata.shards.manifest import MANIFEST, read_manifest
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 if TYPE_CHECKING or find_spec("lightning") is None:
     _Base = pl.LightningDataModule
@@ -39,6 +55,25 @@ else:  # the same library under its other name, whose Trainer accepts only its o
 
 
 Dataset = MapDataset | OnlineMapDataset
+
+_IS_ARGUMENT = "it is an argument of the data module"
+_ORDERS_SAMPLES = "the data module sets it, since it decides on the samples of an epoch"
+
+OWN_LOADER_OPTIONS = {
+    "batch_size": _IS_ARGUMENT,
+    "num_workers": _IS_ARGUMENT,
+    "pin_memory": _IS_ARGUMENT,
+    "persistent_workers": _IS_ARGUMENT,
+    "prefetch_factor": _IS_ARGUMENT,
+    "multiprocessing_context": _IS_ARGUMENT,
+    "drop_last": _IS_ARGUMENT,
+    "dataset": "the data module opens the datasets itself",
+    "shuffle": _ORDERS_SAMPLES,
+    "sampler": _ORDERS_SAMPLES,
+    "batch_sampler": _ORDERS_SAMPLES,
+    "collate_fn": "datasets make whole batches themselves; transform= changes their samples",
+}
+"""Options of torch's DataLoader that ``loader_options`` refuses, with the reason."""
 
 
 class MapDataModule(_Base):
@@ -54,10 +89,10 @@ class MapDataModule(_Base):
     of bfloat16, too. Integers and bools that ``dtype`` asks for stay, as an embedding needs them,
     and so does a batch that a ``transform`` made into anything but a `Sample`.
 
-    ``setup`` adds recipe, identity and content hash of the maps to ``hparams``, and tells loggers
-    them with all arguments, as ``data``: checkpoints and logs say what was trained on. (Imported
-    maps have no recipe and no identity; maps made online have no content hash, and ``build`` is
-    their recipe.)
+    ``setup`` adds recipe, identity and content hash of the maps to ``hparams``, and logs them with
+    all arguments, as ``data``: checkpoints and logs say on which maps a model was trained.
+    (Imported maps have no recipe and no identity; maps made online have no content hash, and
+    ``build`` is their recipe.)
 
     Under DDP with default Trainer flags, training samples are disjoint (at most ranks - 1 are left
     out of an epoch), and validation, test and prediction see every sample exactly once. So metrics
@@ -70,8 +105,13 @@ class MapDataModule(_Base):
         build: which maps to build when ``root`` is missing or incomplete: a preset's name, a
             recipe file, its JSON text or mapping, a `MapGenerator` or a `Recipe`.
         batch_size: samples a batch (a rank).
-        num_workers, pin_memory, persistent_workers, prefetch_factor, multiprocessing_context: as of
-        torch's DataLoader.
+        num_workers, pin_memory, persistent_workers, prefetch_factor, multiprocessing_context: as in
+            torch's DataLoader.
+        drop_last: whether training leaves out the last batch of an epoch if it is not full. The
+            loaders of validation, test and prediction always serve every sample.
+        loader_options: further options of torch's DataLoader for all loaders by name, such as
+            ``{"timeout": 60}``; not those that decide on the samples of an epoch, such as
+            ``sampler``. A checkpoint holds no functions among them.
         fields: as in `MapDataset`, like all further arguments. ``augment`` concerns the training
             split only, ``transform`` all splits. A checkpoint holds neither a ``transform`` nor
             functions among the fields: give them to ``load_from_checkpoint`` again.
@@ -93,6 +133,8 @@ class MapDataModule(_Base):
         persistent_workers: bool = False,
         prefetch_factor: int | None = None,
         multiprocessing_context: str | None = None,
+        drop_last: bool = False,
+        loader_options: Mapping[str, Any] | None = None,
         fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
         problems: SourceLike = "route",
         search: str = "astar",
@@ -116,31 +158,44 @@ class MapDataModule(_Base):
         self.roots = roots
         self.build = _plain_recipe(build)
         self.batch_size = check_count("batch_size", batch_size)
-        self.loading: dict[str, Any] = {
+        check_flag("drop_last", drop_last)
+        self.drop_last = drop_last
+        named_options: dict[str, Any] = {
             "num_workers": num_workers,
             "pin_memory": pin_memory,
             "persistent_workers": persistent_workers,
             "prefetch_factor": prefetch_factor,
             "multiprocessing_context": multiprocessing_context,
         }
-        source = problem_source(problems)
-        moves = _movement(movement)
+        other_options = _checked_loader_options(loader_options)
+        self.loader_options = {**named_options, **other_options}
         self.serving = Serving(
-            fields, source, search, moves, augment, sampling_seed, max_length, radius
+            fields=fields,
+            problems=problem_source(problems),
+            search=search,
+            movement=_movement(movement),
+            augment=augment,
+            sampling_seed=sampling_seed,
+            max_length=max_length,
+            dtype=dtype,
+            transform=transform,
+            radius=radius,
         )
-        check_transform(transform)
-        self.dtype = torch_dtype(dtype, self.serving.names)
+        self.dtype = torch_dtype(self.serving.dtype, self.serving.names)
         self.transform = transform
         self.datasets: dict[str, Dataset] = {}
-        plain = {  # without the transform, which a checkpoint cannot hold safely
-            **self.loading,
+        # Checkpoints hold plain values only, so functions are left out.
+        plain_options = {name: option for name, option in other_options.items() if is_plain(option)}
+        hyperparameters = {
+            **named_options,
+            "drop_last": drop_last,
+            "loader_options": plain_options or None,
             **self.serving.plain(),
-            "dtype": None if self.dtype is None else str(self.dtype).removeprefix("torch."),
             "build": self.build,
             "batch_size": self.batch_size,
-            "root": roots[0] if len(roots) == 1 else roots or None,
+            "root": one_or_all(roots) if roots else None,
         }
-        self.save_hyperparameters(plain, logger=False)
+        self.save_hyperparameters(hyperparameters, logger=False)
 
     def __repr__(self) -> str:
         return (
@@ -152,9 +207,9 @@ class MapDataModule(_Base):
     __str__ = __repr__  # Lightning's own opens all loaders, and so builds a missing dataset
 
     def prepare_data(self) -> None:
-        """Build the dataset if ``build`` says how and it is missing or incomplete.
+        """Build the dataset if there is a ``build`` and the dataset is missing or incomplete.
 
-        Many processes may do so at once.
+        Several processes may do so at once.
         """
         if self.build is None or not self.roots:
             return
@@ -176,38 +231,45 @@ class MapDataModule(_Base):
             "test": ("test",),
             "predict": ("test",),
         }
-        for split in stages[stage]:
+        splits = stages[stage]
+        for split in splits:
             if split not in self.datasets:
                 self.datasets[split] = self._open(split)
-        self._describe(self.datasets[split])
+        self._describe(self.datasets[splits[0]])
 
     def _describe(self, dataset: Dataset) -> None:
-        """Say in ``hparams``, and so in checkpoints, what the maps are; tell the loggers all."""
+        """Add the origin of the maps to ``hparams``, and so to checkpoints, and log all of it."""
+        recipes: list[str | None] = [None]  # maps made online have ``build`` as their recipe
+        content_hashes: list[str | None] = [None]
         if isinstance(dataset, MapDataset):
-            found: list[tuple[str | None, ...]] = [
-                (each.recipe() if each.spec else None, each.identity, each.content_hash)
-                for each in dataset.reader.manifests
-            ]
-        else:  # what was given as ``build`` is its recipe
-            found = [(None, identity(dataset.spec, dataset.seed), None)]
-        values = found[0] if len(found) == 1 else zip(*found, strict=True)
-        self.hparams.update(zip(("recipe", "identity", "content_hash"), values, strict=True))
-        # In a group of its own, since Lightning refuses a name that a model gives another value.
-        # Unlike the arguments it has the stored movement, and the names of functions.
-        movement = astuple(dataset.movement)
-        told = {**self.hparams, "fields": self.serving.names, "movement": movement}
+            manifests = dataset.reader.manifests
+            recipes = [manifest.recipe() if manifest.spec else None for manifest in manifests]
+            identities = [manifest.identity for manifest in manifests]
+            content_hashes = [manifest.content_hash for manifest in manifests]
+        else:
+            identities = [identity(dataset.spec, dataset.seed)]
+        self.hparams["recipe"] = one_or_all(recipes)
+        self.hparams["identity"] = one_or_all(identities)
+        self.hparams["content_hash"] = one_or_all(content_hashes)
+        # Unlike the arguments, logs have the stored movement and the names of functions.
+        logged = {
+            **self.hparams,
+            "fields": self.serving.names,
+            "movement": astuple(dataset.movement),
+        }
         if self.transform is not None:
-            told["transform"] = getattr(self.transform, "__name__", repr(self.transform))
+            logged["transform"] = getattr(self.transform, "__name__", repr(self.transform))
+        # JSON has no tuples, which some loggers refuse.
+        plain_logged = json.loads(json.dumps(logged, default=str))
+        # All is logged in a group of its own, because Lightning refuses a name that the model logs
+        # with another value.
         for logger in self.trainer.loggers if self.trainer else ():
-            logger.log_hyperparams({"data": json.loads(json.dumps(told, default=str))})  # no tuples
+            logger.log_hyperparams({"data": plain_logged})
 
     def _open(self, split: str) -> Dataset:
-        arguments = {
-            **vars(self.serving),
-            "augment": self.serving.augment and split == "train",
-            "dtype": self.dtype,
-            "transform": self.transform,
-        }
+        """Return the dataset of a split; only training samples are augmented."""
+        serving = replace(self.serving, augment=self.serving.augment and split == "train")
+        arguments = vars(serving)
         if self.roots:
             return MapDataset(self.roots, split, **arguments)
         assert self.build is not None  # there are roots or a recipe
@@ -216,7 +278,7 @@ class MapDataModule(_Base):
         return OnlineMapDataset(recipe.spec, recipe.seed, length, split, **arguments)
 
     def train_dataloader(self) -> DataLoader[Sample]:
-        """Return the loader of the training split, in an order of its own each epoch."""
+        """Return the loader of the training split, in another order each epoch."""
         return self._loader("train", "fit")
 
     def val_dataloader(self) -> DataLoader[Sample]:
@@ -232,12 +294,58 @@ class MapDataModule(_Base):
         return self._loader("test", "predict")
 
     def _loader(self, split: str, stage: str) -> DataLoader[Sample]:
+        """Return the loader of a split, which ``stage`` opens."""
         if split not in self.datasets:
             self.setup(stage)
         dataset = self.datasets[split]
-        sampling_seed = self.serving.sampling_seed if split == "train" else None
-        sampler = EpochSampler(dataset, self.batch_size, sampling_seed, self)
-        return LateLoader(dataset, batch_size=self.batch_size, sampler=sampler, **self.loading)
+        is_training = split == "train"
+        drop_last = self.drop_last and is_training
+        sampler = EpochSampler(
+            dataset,
+            self.batch_size,
+            self.serving.sampling_seed if is_training else None,
+            self,
+            drop_last=drop_last,
+        )
+        if drop_last and len(sampler) < self.batch_size:
+            raise ValueError(
+                f"drop_last: {len(sampler)} training samples do not fill a batch of "
+                f"{self.batch_size}; take a smaller batch_size"
+            )
+        return LateLoader(
+            dataset,
+            batch_size=self.batch_size,
+            sampler=sampler,
+            drop_last=drop_last,
+            **self.loader_options,
+        )
+
+    def plot(self, batch: Sample | None = None, split: str = "train") -> Axes:
+        """Draw the first 9 samples of a batch: maps, starts S, goals G and paths.
+
+        ``datamodule.plot().figure.savefig("batch.png")`` writes a picture.
+
+        Args:
+            batch: what a loader gives, with the field ``map`` or ``free``; None for the first
+                samples of the split in the order of its dataset, without a ``transform``.
+            split: "train", "val" or "test"; it matters without a batch only.
+
+        Returns:
+            The axes of the first sample.
+
+        Raises:
+            ValueError: an unknown split, or a batch without maps.
+        """
+        # The face of the folder imports a lot that loading does not need.
+        from mapdata.plotting.plot_models import MAX_SAMPLES, plot_sample
+
+        if batch is not None:
+            return plot_sample(batch)
+        check_choice("split", split, SPLITS)
+        if split not in self.datasets:
+            self.setup({"train": "fit", "val": "validate", "test": "test"}[split])
+        dataset = self.datasets[split]
+        return dataset.plot(range(min(MAX_SAMPLES, len(dataset))))
 
     def on_after_batch_transfer(self, batch: Any, dataloader_idx: int) -> Any:
         """Cast maps and masks to the type of the model, on the device of the batch.
@@ -245,11 +353,48 @@ class MapDataModule(_Base):
         That is float32 unless the Trainer's ``precision`` says otherwise. Integers and bools that
         ``dtype`` asked for stay, and so does what a ``transform`` made into another type of batch.
         """
-        stays = self.dtype is not None and not self.dtype.is_floating_point
-        if stays or not isinstance(batch, Sample):
+        is_integer = self.dtype is not None and not self.dtype.is_floating_point
+        if is_integer or not isinstance(batch, Sample):
             return batch
         dtype: Any = self.trainer.lightning_module.dtype if self.trainer else torch.float32
         return cast(batch, dtype)
+
+
+def _movement(argument: Any) -> Any:
+    """Return the `Movement` that a mapping or a sequence stands for; all else is unchanged."""
+    if isinstance(argument, Mapping):
+        return Movement(**known_values("movement", argument, Movement))
+    values = items_of(argument)
+    return Movement(*values) if values else argument
+
+
+def _checked_loader_options(options: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return further options of torch's DataLoader as a dict.
+
+    Raises:
+        ValueError: an option that DataLoader does not have, or that the data module sets itself.
+    """
+    if options is None:
+        return {}
+    if not isinstance(options, Mapping):
+        raise ValueError(f"loader_options: got {options!r}, expected options by name")
+    parameters = [name for name in signature(DataLoader).parameters if name != "self"]
+    allowed = [name for name in parameters if name not in OWN_LOADER_OPTIONS]
+    for name in options:
+        if name in OWN_LOADER_OPTIONS:
+            raise ValueError(f"loader_options: got {name!r}, but {OWN_LOADER_OPTIONS[name]}")
+        check_choice("loader_options", name, allowed)
+    return dict(options)
+
+
+def is_plain(option: object) -> bool:
+    """Return whether a checkpoint can hold an option with torch's safe default."""
+    return option is None or isinstance(option, (bool, int, float, str))
+
+
+def one_or_all(values: Sequence[Any]) -> Any:
+    """Return the value of a single root, or the values of several roots as a tuple."""
+    return values[0] if len(values) == 1 else tuple(values)
 
 
 def _plain_recipe(recipe: RecipeLike | None) -> Any:
@@ -257,11 +402,3 @@ def _plain_recipe(recipe: RecipeLike | None) -> Any:
     if isinstance(recipe, MapGenerator | Recipe):
         recipe = as_recipe(recipe).to_dict()
     return str(recipe) if isinstance(recipe, Path) else plain_values(recipe)
-
-
-def _movement(values: Any) -> Any:
-    """Return the `Movement` that plain values stand for; what is none of these stays as it is."""
-    if isinstance(values, Mapping):
-        return Movement(**known_values("movement", values, Movement))
-    items = items_of(values)
-    return Movement(*items) if items else values

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import operator
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import replace
-from itertools import count
-from typing import TYPE_CHECKING, Any
+from functools import cache
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -16,34 +17,51 @@ from torch.utils.data import Dataset, default_collate
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.checks import check_choice, check_flag
-from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving, torch_dtype
-from mapdata.datasets.batches import BatchReader
+from mapdata.datasets.arguments import (
+    DEFAULT_FIELDS,
+    FieldFunction,
+    Serving,
+    Transform,
+    field_names,
+    torch_dtype,
+)
+from mapdata.datasets.batches import BatchReader, stored_counts
 from mapdata.datasets.fields import FIELDS, Batch, Field, Paths, Rooms, room_matrices
+from mapdata.datasets.info import DatasetInfo, field_infos
 from mapdata.datasets.sample import Rows, Sample, cast, row, sample_class, stack
-from mapdata.datasets.transforms import check_transform
+from mapdata.generators.generator import UnknownFamily
+from mapdata.generators.recipe import Recipe
 from mapdata.limits import SPLITS, Size
 from mapdata.movement import Movement
 from mapdata.problems.sampling import sample_problems
-from mapdata.problems.sources import Band, Random, Route, SourceLike, check_band, problem_source
+from mapdata.problems.sources import (
+    Band,
+    Random,
+    Route,
+    Source,
+    SourceLike,
+    check_band,
+    problem_source,
+)
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
 from mapdata.search.lattice import move_rule
-from mapdata.shards.locations import Locations
+from mapdata.shards.locations import Locations, locations
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Transform = Callable[[Sample], Any]
-
-Sampled = tuple[Bytes, Ints, Paths | None]
-"""Problems sampled on B maps: the maps; start and goal on each, (B, 4), -1 where it has none; and
-the paths, None where they are still to be searched."""
+    from matplotlib.axes import Axes
 
 DRAWS = 32
-"""How many random problems are tried on a sample's own map. On the maps that take its place they
-are 3 DRAWS, 5 DRAWS and so on."""
+"""How many random problems are drawn on a sample's own map.
 
-MOST_DRAWS = 1_000_000
-"""After so many in a row that do not fit, over all samples of a batch, there is an error."""
+On the first substitute of the map 3 DRAWS are tried, on the second one 5 DRAWS, and so on.
+"""
+
+MAX_FAILED_DRAWS = 1_000_000
+"""After so many draws in a row without success, over all samples of a batch, there is an error."""
+
+FILTER_BATCH = 4096
+"""Number of problems that `MapDataset.filter` examines at once, which limits its memory."""
 
 CONDITIONS: dict[str, Field] = {
     "rooms": lambda batch: (batch.rooms.seed_points[:, :, 0] >= 0).sum(axis=1),
@@ -52,19 +70,41 @@ CONDITIONS: dict[str, Field] = {
     "all_connected": lambda batch: (batch.rooms.matrix != -1).all(axis=(1, 2)),  # -2 is padding
     "hardness": FIELDS["hardness"],
 }
-"""What the conditions of `MapDataset.filter` are about: a value for each problem of a batch."""
+"""The quantity that each condition of `MapDataset.filter` limits, (B,) for a batch."""
 
 
-_MADE_AGAIN = ("reader", "_class", "_kept", "_numbers")
-"""Attributes that are not pickled."""
+class SampledProblems(NamedTuple):
+    """Problems that were sampled on B maps.
+
+    Attributes:
+        grids: (B, H, W) uint8, the maps.
+        ends: (B, 4) int64, row and column of start and goal, -1 where no problem was found.
+        paths: their paths; None if they are not searched yet.
+    """
+
+    grids: Bytes
+    ends: Ints
+    paths: Paths | None
+
+
+@cache
+def keep_freed_memory() -> None:
+    """Make malloc keep the memory of past batches for the next ones, once for each process.
+
+    Above a threshold glibc gives the memory of a freed block back to the system, and a new block
+    faults in all of its pages again, which takes longer than filling them. The threshold grows to
+    the size of the largest block that was freed, up to 32 MiB. So a block of 31 MiB, more than
+    batches take, is allocated and freed here. It is never written, so it takes no memory.
+    """
+    np.empty(31 * 2**20, np.uint8)
 
 
 class ProblemDataset(Dataset[Sample], ABC):
-    """What both datasets share: indexing, fields, epochs, symmetries.
+    """Indexing, fields, epochs and symmetries: the part that both datasets share.
 
     ``dataset[i]`` is a `Sample`; ``dataset[2:9]`` and ``dataset[[4, 1]]`` are batches; a DataLoader
-    gets whole batches made at once. With a ``transform``, ``dataset[i]`` is what it returns, and
-    batches are stacked from such samples as a DataLoader does.
+    gets whole batches that are computed at once. With a ``transform``, ``dataset[i]`` is what it
+    returns, and batches are stacked from such samples as a DataLoader does.
 
     A batch sampler may yield lists of ``index + epoch * len(dataset)``: what is drawn anew each
     epoch is a function of (sampling_seed, epoch, index), never of worker state. A plain
@@ -72,18 +112,15 @@ class ProblemDataset(Dataset[Sample], ABC):
     """
 
     movement: Movement
-    """How the served paths move."""
+    """Movement of the served paths."""
 
     map_size: Size
     """(rows, columns) of all maps."""
 
-    def __init__(
-        self,
-        split: str | None,
-        serving: Serving,
-        dtype: torch.dtype | str | None,
-        transform: Transform | None,
-    ) -> None:
+    _opened: ClassVar[tuple[str, ...]]
+    """Attributes that `_open` sets. They are not pickled: each process opens the files itself."""
+
+    def __init__(self, split: str | None, serving: Serving) -> None:
         """Check and keep the arguments that `MapDataset` describes."""
         if split is not None:
             check_choice("split", split, SPLITS)
@@ -91,173 +128,252 @@ class ProblemDataset(Dataset[Sample], ABC):
             raise ValueError(
                 f"augment: would change the split {split!r}, expected the training split"
             )
-        check_transform(transform)
         self.split = split
         self.serving = serving
-        self.dtype = torch_dtype(dtype, serving.names)
-        self.transform = transform
-        self._class = sample_class(serving.names, serving.max_length)
-        # glibc hands freed blocks back to the system above a threshold that grows with the largest
-        # block that was ever freed. Batches are below that size but above the threshold, so each
-        # would fault all its pages in again, which costs more than filling them. So malloc keeps
-        # the memory of past batches for the next ones. The block is never touched, so this takes
-        # no memory.
-        np.empty(31 << 20, np.uint8)
+        self._field_names = serving.names
+        self.dtype = torch_dtype(serving.dtype, serving.names)
+        self.transform = serving.transform
+        keep_freed_memory()
 
     @abstractmethod
     def __len__(self) -> int:
         """Return the number of problems."""
 
+    @property
+    @abstractmethod
+    def info(self) -> DatasetInfo:
+        """Where the maps come from, their counts, and what a sample holds."""
+
+    @abstractmethod
+    def _open(self) -> None:
+        """Set the attributes of `_opened` from all other attributes."""
+
+    def __copy__(self) -> Any:
+        """Return a copy that shares the open shards."""
+        copied = type(self).__new__(type(self))
+        vars(copied).update(vars(self))
+        return copied
+
     def __getstate__(self) -> dict[str, Any]:
-        """Pickle without file handles, data and classes made at run time."""
-        return {name: value for name, value in vars(self).items() if name not in _MADE_AGAIN}
+        """Return the attributes that are pickled: all but those that `_open` sets."""
+        return {name: v for name, v in vars(self).items() if name not in self._opened}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take over the pickled attributes, and open the dataset again."""
+        vars(self).update(state)
+        keep_freed_memory()
+        self._open()
 
     def __getitem__(self, index: Any) -> Sample:
         if isinstance(index, slice):
             index = np.arange(*index.indices(len(self)))
         if np.ndim(index):
-            rows = self.__getitems__(index)
-            return rows.batch if isinstance(rows, Rows) else default_collate(rows)
-        i = operator.index(index)
-        if not -len(self) <= i < len(self):
-            raise IndexError(f"index {i} is out of range for {len(self)} problems")
-        sample: Sample = self.__getitems__([i])[0]
+            samples = self.__getitems__(index)
+            return samples.batch if isinstance(samples, Rows) else default_collate(samples)
+        sample: Sample = self.__getitems__([self._checked_index(index)])[0]
         return sample
 
     def __getitems__(self, indices: Sequence[int] | Ints | Tensor) -> Any:
         """Return a list of samples; torch's DataLoader calls this.
 
-        Without a transform it only looks like a list: it is a whole batch, `Rows`, which torch's
-        collate function takes as it is.
+        Without a transform the list is a whole batch, `Rows`, which torch's collate function takes
+        as it is.
+
+        Args:
+            indices: ``index + epoch * len(dataset)`` each; a negative index counts from the end.
         """
-        given = np.asarray(indices)
+        numbers = np.asarray(indices)
         length = len(self)
-        if given.size and given.dtype.kind not in "iu":
-            raise TypeError(f"indices: got {given.dtype}, expected integers")
-        wanted = given.astype(np.int64).reshape(-1)
-        if len(wanted) and (length == 0 or wanted.min() < -length):
-            raise IndexError(f"index {wanted.min()} is out of range for {length} problems")
-        wanted[wanted < 0] += length
-        epochs, indices = np.divmod(wanted, length)
-        epoch = epochs.max(initial=0)
-        if (epochs == epoch).all():
-            batch = self._make(indices, epoch)
-        else:  # a batch is of one epoch
-            singles = [self._make(indices[k : k + 1], each) for k, each in enumerate(epochs)]
-            batch = stack([row(single, 0) for single in singles])
-        rows = Rows(batch)
-        if self.transform is None or not len(rows):
-            return rows
-        return [self.transform(sample) for sample in rows]
+        if numbers.size and numbers.dtype.kind not in "iu":
+            raise TypeError(f"indices: got {numbers.dtype}, expected integers")
+        numbers = numbers.astype(np.int64).reshape(-1)
+        if len(numbers) and (length == 0 or numbers.min() < -length):
+            raise IndexError(f"index {numbers.min()} is out of range for {length} problems")
+        numbers[numbers < 0] += length
+        epochs, problems = np.divmod(numbers, length)
+        last_epoch = epochs.max(initial=0)
+        if (epochs == last_epoch).all():
+            batch = self._load(problems, last_epoch)
+        else:  # `_load` takes one epoch only
+            batches = [self._load(problems[k : k + 1], epoch) for k, epoch in enumerate(epochs)]
+            batch = stack([row(batch_of_one, 0) for batch_of_one in batches])
+        samples = Rows(batch)
+        if self.transform is None or not len(samples):
+            return samples
+        return [self.transform(sample) for sample in samples]
 
     def __iter__(self) -> Iterator[Sample]:
         return (self[i] for i in range(len(self)))
 
-    def _make(self, indices: Ints, epoch: int) -> Sample:
-        """Return the fields of problems ``indices``, batched."""
+    def plot(self, index: int | Sequence[int] = 0, axes: Axes | None = None) -> Axes:
+        """Draw a problem: its map, start S, goal G and path, whichever fields are served.
+
+        The first dense field among the served ones, such as ``cost_to_go``, is drawn as a shade. A
+        ``transform`` is not applied. ``dataset.plot(0).figure.savefig("map.png")`` writes a
+        picture.
+
+        Args:
+            index: which problem, or up to 9 of several for a grid of them.
+            axes: where to draw one problem; a new figure without.
+
+        Returns:
+            The axes; of several problems those of the first one.
+
+        Raises:
+            IndexError: no such problem.
+            ValueError: no problem at all, or axes for several.
+        """
+        # The face of the folder imports a lot that loading does not need.
+        from mapdata.plotting.plot_models import MAX_SAMPLES, plot_sample
+
+        indices = [self._checked_index(i) for i in np.atleast_1d(index)[:MAX_SAMPLES]]
+        fields = tuple(dict.fromkeys((*DEFAULT_FIELDS, *self.serving.fields)))
+        batch = self._batch(np.array(indices, np.int64), epoch=0)
+        samples = self._compute_fields(batch, fields, field_names(fields))
+        return plot_sample(row(samples, 0) if np.ndim(index) == 0 else samples, axes)
+
+    def _checked_index(self, index: Any) -> int:
+        """Return an index as an int.
+
+        Raises:
+            IndexError: it is out of range.
+        """
+        i = operator.index(index)
+        if not -len(self) <= i < len(self):
+            raise IndexError(f"index {i} is out of range for {len(self)} problems")
+        return i % len(self)
+
+    def _load(self, indices: Ints, epoch: int) -> Sample:
+        """Return the served fields of problems ``indices`` of an epoch, as a batch."""
         batch = self._batch(indices, epoch)
-        if self.serving.augment:
-            batch = _transformed(batch, self.serving.sampling_seed, epoch)
-        values = []
-        for field in self.serving.fields:
-            if isinstance(field, str):
-                values.append(torch.from_numpy(np.ascontiguousarray(FIELDS[field](batch))))
-            else:
-                so_far = sample_class(self.serving.names[: len(values)])(*values)
-                values.append(torch.as_tensor(field(so_far)))
-        sample = self._class(*values)
+        sample = self._compute_fields(batch, self.serving.fields, self._field_names)
         return sample if self.dtype is None else cast(sample, self.dtype)
 
+    def _batch(self, indices: Ints, epoch: int) -> Batch:
+        """Return problems ``indices`` of an epoch, transformed by symmetries if asked for."""
+        batch = self._problems(indices, epoch)
+        if self.serving.augment:
+            batch = _transformed(batch, self.serving.sampling_seed, epoch)
+        return batch
+
+    def _compute_fields(
+        self, batch: Batch, fields: Sequence[str | FieldFunction], names: tuple[str, ...]
+    ) -> Sample:
+        """Return fields of a batch; a function gets the fields before it."""
+        tensors: list[Tensor] = []
+        for field in fields:
+            if isinstance(field, str):
+                array = np.ascontiguousarray(FIELDS[field](batch))
+                tensors.append(torch.from_numpy(array))
+            else:
+                batch_so_far = sample_class(names[: len(tensors)])(*tensors)
+                tensors.append(torch.as_tensor(field(batch_so_far)))
+        sample: Sample = sample_class(names, self.serving.max_length)(*tensors)
+        return sample
+
+    # In what follows, map p is the p-th map of the split, and problem i is first sampled on map i.
+
     @abstractmethod
-    def _grids(self, places: Ints) -> Bytes:
-        """Return the maps at some places, (B, H, W).
-
-        Place i is that of sample i; those beyond the samples are substitutes.
-        """
+    def _grids(self, maps: Ints) -> Bytes:
+        """Return maps, (B, H, W)."""
 
     @abstractmethod
-    def _seed_points(self, places: Ints) -> Ints:
-        """Return the seed points of the maps at some places, (B, R, 2)."""
+    def _seed_points(self, maps: Ints) -> Ints:
+        """Return the seed points of maps, (B, R, 2)."""
 
-    def _rooms(self, places: Ints, grids: Bytes) -> Rooms:
-        """Return the rooms of the maps at some places."""
-        seed_points = self._seed_points(places)
+    def _rooms(self, maps: Ints, grids: Bytes) -> Rooms:
+        """Return the rooms of maps, whose ``grids`` (B, H, W) are known."""
+        seed_points = self._seed_points(maps)
         matrices = room_matrices(self.serving.search, grids, seed_points, self.movement)
         return Rooms(matrices, seed_points)
 
     @abstractmethod
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
-        """Return the places of maps to try where those of samples ``indices`` have no problem.
+        """Return the maps to try next where earlier maps had no problem for samples ``indices``.
 
-        Attempts count from 1.
+        Args:
+            indices: (B,) numbers of the samples.
+            attempt: number of the substitute, from 1 on.
         """
 
-    def _batch(self, indices: Ints, epoch: int) -> Batch:
-        """Return problems ``indices`` of an epoch, before fields are made of them.
+    def _problems(self, indices: Ints, epoch: int) -> Batch:
+        """Return problems ``indices`` of an epoch.
 
-        Each is sampled on its own map, or on a substitute where that has none.
+        Each of them is sampled on its own map, or on a substitute if that map has none.
         """
-        places = indices.copy()
-        grids, ends, found = self._sample(places, indices, epoch, 0)
-        tried = 0
-        for attempt in count(1):
-            missing = np.flatnonzero(ends[:, 0] < 0)
-            if len(missing) == 0:
-                break
-            if tried > MOST_DRAWS:
+        maps = indices.copy()
+        grids, ends, paths = self._sample(maps, indices, epoch, attempt=0)
+        attempt = 0
+        failed_draws = 0
+        missing = np.flatnonzero(ends[:, 0] < 0)
+        while len(missing):
+            if failed_draws > MAX_FAILED_DRAWS:
                 raise ValueError(f"problems={self.serving.problems}: none on one map after another")
-            places[missing] = self._substitutes(indices[missing], attempt)
-            grids[missing], ends[missing], more = self._sample(
-                places[missing], indices[missing], epoch, attempt
-            )
-            if found and more:
-                found = found.replaced(missing, more)
-            tried += len(missing) * DRAWS * (2 * attempt + 1)
-            if (ends[missing] >= 0).any():
-                tried = 0
+            attempt += 1
+            maps[missing] = self._substitutes(indices[missing], attempt)
+            sampled = self._sample(maps[missing], indices[missing], epoch, attempt)
+            grids[missing] = sampled.grids
+            ends[missing] = sampled.ends
+            if paths is not None and sampled.paths is not None:
+                paths = paths.with_rows(missing, sampled.paths)
+            if (sampled.ends >= 0).any():
+                failed_draws = 0
+            else:
+                failed_draws += len(missing) * DRAWS * (2 * attempt + 1)
+            missing = np.flatnonzero(ends[:, 0] < 0)
         starts = np.ascontiguousarray(ends[:, :2])
         goals = np.ascontiguousarray(ends[:, 2:])
-        batch = self._as_batch(indices, places, grids, starts, goals)
-        if found:
-            batch.paths = found
+        batch = self._as_batch(indices, maps, grids, starts, goals)
+        if paths is not None:
+            batch.paths = paths
         return batch
 
-    def _sample(self, places: Ints, indices: Ints, epoch: int, attempt: int) -> Sampled:
-        """Sample a problem on each of the maps at some places.
+    def _sample(self, maps: Ints, indices: Ints, epoch: int, attempt: int) -> SampledProblems:
+        """Sample a random problem on each map.
 
-        Each attempt has draws of its own, so that what failed is not tried again on another map.
-        They become more, since conditions that have failed are rare.
+        Each attempt has its own draws, so that a substitute does not repeat the draws that failed.
+        Their number grows, because conditions that failed are rare.
+
+        Args:
+            maps: (B,) the maps.
+            indices: (B,) numbers of the samples.
+            epoch: pass over the data.
+            attempt: 0 for the samples' own maps, then the number of the substitute.
         """
         problems = self.serving.problems
         assert isinstance(problems, Random)
-        grids = self._grids(places)
-        ends, *found = sample_problems(
+        grids = self._grids(maps)
+        # DRAWS * (2 * attempt + 1) draws, beginning after those of the attempts before.
+        draws = (DRAWS * attempt**2, DRAWS * (attempt + 1) ** 2)
+        ends, cells, offsets, iterations = sample_problems(
             grids,
-            self._seed_points(places)[:, 0] if problems.to_first_seed_point else None,
+            self._seed_points(maps)[:, 0] if problems.to_first_seed_point else None,
             np.uint64(self.serving.sampling_seed),
             epoch,
             indices,
-            (DRAWS * attempt**2, DRAWS * (attempt + 1) ** 2),
+            draws,
             *problems.conditions,
             move_rule(self.movement),
         )
-        # Conditions may need the paths, which A* finds; what was found is not searched again.
-        is_found = len(found[0]) and self.serving.search == "astar"
-        return grids, ends, Paths(*found) if is_found else None
+        # Conditions on the path are tested by A*, whose paths need not be searched again.
+        has_paths = len(cells) > 0 and self.serving.search == "astar"
+        paths = Paths(cells, offsets, iterations) if has_paths else None
+        return SampledProblems(grids, ends, paths)
 
     def _as_batch(
-        self, indices: Ints, places: Ints, grids: Bytes, starts: Ints, goals: Ints
+        self, indices: Ints, maps: Ints, grids: Bytes, starts: Ints, goals: Ints
     ) -> Batch:
+        """Return problems as a batch whose paths are searched when they are needed."""
         return Batch(
-            self.movement,
-            self.serving.search,
-            grids,
-            starts,
-            goals,
-            indices,
-            lambda: self._rooms(places, grids),
-            self.serving.names,
-            self.serving.max_length,
+            movement=self.movement,
+            search=self.serving.search,
+            grids=grids,
+            starts=starts,
+            goals=goals,
+            problems=indices,
+            compute_rooms=lambda: self._rooms(maps, grids),
+            requested_fields=self._field_names,
+            max_length=self.serving.max_length,
         )
 
 
@@ -269,7 +385,7 @@ class MapDataset(ProblemDataset):
         split: "train", "val", "test" or None for all.
         fields: names of `fields.FIELDS` or functions of the batch so far (a `Sample`), in the order
             of the sample.
-        problems: what is asked of the maps: a `Route`, `Pairs` or `Random`, or its name, "route"
+        problems: which problems are served: a `Route`, `Pairs` or `Random`, or its name, "route"
             (the stored segments between consecutive rooms), "pairs" (all pairs of rooms i < j) or
             "random" (one problem a map, sampled anew each epoch); or plain JSON, ``{"random":
             {"distance": [10, null]}}``. Problems of length 0 are left out. So are those that have
@@ -311,6 +427,8 @@ class MapDataset(ProblemDataset):
             shard is finished.
     """
 
+    _opened = ("reader", "_selected")
+
     def __init__(
         self,
         root: Locations,
@@ -328,54 +446,118 @@ class MapDataset(ProblemDataset):
         radius: float = 0.0,
     ) -> None:
         """Read the manifests; shards are opened at first touch, or now (see ``movement``)."""
-        source = problem_source(problems)
         serving = Serving(
-            fields, source, search, movement, augment, sampling_seed, max_length, radius
+            fields=fields,
+            problems=problem_source(problems),
+            search=search,
+            movement=movement,
+            augment=augment,
+            sampling_seed=sampling_seed,
+            max_length=max_length,
+            dtype=dtype,
+            transform=transform,
+            radius=radius,
         )
-        super().__init__(split, serving, dtype, transform)
-        reader = BatchReader(root, split, source, radius, movement)
-        self.reader = reader
-        self.roots = reader.root.locations
-        self._content = [manifest.content_hash for manifest in reader.manifests]
-        self._most_seed_points = reader.most_seed_points
+        super().__init__(split, serving)
+        self.roots = locations(root)
+        self.filters: tuple[dict[str, Any], ...] = ()
+        self._open()
+        reader = self.reader
+        self._content_hashes = [manifest.content_hash for manifest in reader.manifests]
+        self._max_seed_points = reader.max_seed_points
         self.movement = movement or reader.movement
         self.map_size = reader.map_size
-        self.filters: tuple[dict[str, Any], ...] = ()
-        # Labels are stored for the maps as they are and for one movement: others are solved anew.
-        self._is_stored = self.movement == reader.movement and reader.least <= 1
-        self._kept = reader.solvable()
+        # Labels are stored for one movement and for a robot without extent.
+        self._labels_fit = self.movement == reader.movement and reader.min_clearance <= 1
+
+    def _open(self) -> None:
+        serving = self.serving
+        self.reader = BatchReader(
+            self.roots, self.split, serving.problems, serving.radius, serving.movement
+        )
+        # The numbers of the problems that are served, ascending; None for all of them.
+        self._selected = self.reader.solvable_problems()
 
     def __len__(self) -> int:
         """Return the number of problems."""
-        return len(self.reader) if self._kept is None else len(self._kept)
+        return len(self.reader) if self._selected is None else len(self._selected)
 
     def __repr__(self) -> str:
-        filters = "".join(
-            f".filter({', '.join(f'{k}={v!r}' for k, v in each.items())})" for each in self.filters
-        )
-        where = self.roots[0] if len(self.roots) == 1 else self.roots
-        arguments = f"{where!r}, split={self.split!r}, problems={self.serving.problems}"
+        root = self.roots[0] if len(self.roots) == 1 else self.roots
+        arguments = f"{root!r}, split={self.split!r}, problems={self.serving.problems}"
         if self.serving.radius:
             arguments += f", radius={self.serving.radius}"
-        content = [each[:12] for each in self._content]
-        known = f"map_size={self.map_size}, content_hash={content}"
-        if not all(each.complete for each in self.reader.manifests):
-            known += ", of a dataset that is not finished"
-        return f"MapDataset({arguments}){filters}: {len(self)} problems, {known}"
+        filters = ""
+        for conditions in self.filters:
+            bands = ", ".join(f"{name}={band!r}" for name, band in conditions.items())
+            filters += f".filter({bands})"
+        hashes = [content_hash[:12] for content_hash in self._content_hashes]
+        properties = f"map_size={self.map_size}, content_hash={hashes}"
+        if not all(manifest.complete for manifest in self.reader.manifests):
+            properties += ", of a dataset that is not finished"
+        return f"MapDataset({arguments}){filters}: {len(self)} problems, {properties}"
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Open it again, if it still is the same: in another one its problems have other places."""
-        MapDataset.__init__(self, state["roots"], **arguments_of(state))
-        if self._content != state["_content"]:
+        """Open the dataset again, if it still holds the same maps.
+
+        In another dataset the problems would have other numbers.
+        """
+        super().__setstate__(state)
+        if [manifest.content_hash for manifest in self.reader.manifests] != self._content_hashes:
             raise ValueError(
                 f"root: {', '.join(self.roots)}: other maps than when this dataset was opened; "
                 "open it again"
             )
-        vars(self).update(state)
-        # A worker may not know the family of the maps, and so not how far to pad their seed points.
-        self.reader.most_seed_points = self._most_seed_points
+        # A worker may not know the family of the maps, and so not the number of rooms to pad to.
+        self.reader.max_seed_points = self._max_seed_points
         for conditions in self.filters:
-            self._kept = self._matching(conditions)
+            self._selected = self._matching(conditions)
+
+    @property
+    def info(self) -> DatasetInfo:
+        """Where the maps come from, their counts, and what a sample holds.
+
+        The shapes of the fields are those of the first sample, which is loaded for it.
+        """
+        recipes = []
+        for manifest in self.reader.manifests:
+            spec = manifest.spec
+            recipe = None
+            # `Recipe` refuses a generator whose family is not registered here.
+            is_registered = not isinstance(spec, UnknownFamily)
+            if spec is not None and is_registered and manifest.seed is not None:
+                recipe = Recipe(spec, manifest.seed, manifest.maps, manifest.content_hash)
+            recipes.append(recipe)
+        resolutions = {manifest.resolution for manifest in self.reader.manifests}
+        splits = SPLITS if self.split is None else (self.split,)
+        return DatasetInfo(
+            roots=self.roots,
+            recipes=tuple(recipes),
+            identities=tuple(manifest.identity for manifest in self.reader.manifests),
+            content_hashes=tuple(self._content_hashes),
+            map_counts={split: self._counts(Random())[split] for split in splits},
+            problem_counts={split: self._problem_counts()[split] for split in splits},
+            map_size=self.map_size,
+            resolution=resolutions.pop() if len(resolutions) == 1 else None,
+            movement=self.movement,
+            fields=field_infos(self._load(np.array([0]), 0)) if len(self) else None,
+        )
+
+    def _counts(self, problems: Source) -> dict[str, int]:
+        """Return the number of stored problems of each split."""
+        totals = dict.fromkeys(SPLITS, 0)
+        for _, _, entry in self.reader.shards:
+            for split, count in stored_counts(entry, problems).items():
+                totals[split] += count
+        return totals
+
+    def _problem_counts(self) -> dict[str, int]:
+        """Return the number of served problems of each split, after filters and radius."""
+        if self._selected is None:
+            return self._counts(self.serving.problems)
+        codes = self.reader.split_codes(self.reader.locate(self._selected))
+        counts = np.bincount(codes, minlength=len(SPLITS)).tolist()
+        return dict(zip(SPLITS, counts, strict=True))
 
     def filter(
         self,
@@ -406,41 +588,45 @@ class MapDataset(ProblemDataset):
             raise ValueError(
                 "filter: random problems are not stored; give Random(...) the conditions"
             )
-        given = {
+        arguments = {
             "rooms": rooms,
             "path_length": path_length,
             "reachable": reachable,
             "all_connected": all_connected,
             "hardness": hardness,
         }
-        conditions = {name: value for name, value in given.items() if value is not None}
-        if not conditions:
-            raise ValueError(f"filter: got no condition, expected one of {', '.join(given)}")
-        for name, value in conditions.items():
+        conditions: dict[str, Any] = {}
+        for name, condition in arguments.items():
+            if condition is None:
+                continue
             if name in ("reachable", "all_connected"):
-                check_flag(name, value)
+                check_flag(name, condition)
+                conditions[name] = condition
             else:
-                conditions[name] = check_band(name, value)
-        view = object.__new__(type(self))
-        vars(view).update(vars(self))
+                conditions[name] = check_band(name, condition)
+        if not conditions:
+            raise ValueError(f"filter: got no condition, expected one of {', '.join(arguments)}")
+        view = copy(self)
         view.filters = (*self.filters, conditions)
-        view._kept = self._matching(conditions)
+        view._selected = self._matching(conditions)
         return view
 
     def _matching(self, conditions: dict[str, Any]) -> Ints:
-        """Return the numbers of the problems that meet conditions of `filter`."""
-        indices = np.arange(len(self.reader)) if self._kept is None else self._kept
-        found = []
-        for part in np.split(indices, range(4096, len(indices), 4096)):  # memory stays flat
-            batch = self._stored_batch(part)
-            meets = np.ones(len(part), np.bool_)
-            for name, wanted in conditions.items():
-                # One value is both. The hardness is of 32 bits, too, or its ends were not in it.
-                lowest, highest = np.broadcast_to(np.array(wanted, np.float32), 2)
-                values = CONDITIONS[name](batch)
-                meets &= (values >= lowest) & (values <= highest)
-            found.append(part[meets])
-        return np.concatenate(found)
+        """Return the numbers of the selected problems that meet conditions of `filter`."""
+        selected = np.arange(len(self.reader)) if self._selected is None else self._selected
+        matching = []
+        for numbers in np.split(selected, range(FILTER_BATCH, len(selected), FILTER_BATCH)):
+            batch = self._stored_problems(numbers)
+            is_match = np.ones(len(numbers), np.bool_)
+            for name, condition in conditions.items():
+                quantity = CONDITIONS[name](batch)
+                # A flag is a band of one number. The bounds are rounded to 32 bits, because
+                # `hardness` is: a band would otherwise exclude a hardness at its end.
+                band = np.array(condition, np.float32)
+                lowest, highest = np.broadcast_to(band, 2)
+                is_match &= (quantity >= lowest) & (quantity <= highest)
+            matching.append(numbers[is_match])
+        return np.concatenate(matching)
 
     def table(self) -> pd.DataFrame:
         """Return a table of the maps of this split: the paper's items, and ours (docs/paper.md).
@@ -453,75 +639,73 @@ class MapDataset(ProblemDataset):
         from mapdata.describe.table import map_rows
 
         rows = []
-        for k, (_, first, entry) in enumerate(self.reader.shards):
-            rows += map_rows(self.reader.open(k), self.split, entry.maps, first)
+        for k, (_, first_map, entry) in enumerate(self.reader.shards):
+            rows += map_rows(self.reader.open(k), self.split, entry.maps, first_map)
         return pd.DataFrame(rows)
 
-    def _batch(self, indices: Ints, epoch: int) -> Batch:
-        if self._kept is not None:
-            indices = self._kept[indices]
+    def _problems(self, indices: Ints, epoch: int) -> Batch:
+        numbers = indices if self._selected is None else self._selected[indices]
         if isinstance(self.serving.problems, Random):
-            return super()._batch(indices, epoch)
-        return self._stored_batch(indices)
+            return super()._problems(numbers, epoch)
+        return self._stored_problems(numbers)
 
-    def _stored_batch(self, indices: Ints) -> Batch:
-        reader = self.reader
-        shards, maps, first, second = reader.find(indices)
-        grids = reader.grids(shards, maps)
-        starts = reader.seed_points(shards, maps, first)
-        goals = reader.seed_points(shards, maps, second)
-        batch = self._as_batch(indices, indices, grids, starts, goals)
-        if isinstance(self.serving.problems, Route) and self._is_stored:
-            batch.find_paths = lambda: reader.paths(shards, maps, first, self.serving.search)
+    def _stored_problems(self, numbers: Ints) -> Batch:
+        """Return problems of a route or of pairs by their numbers among all stored problems."""
+        stored = self.reader.locate(numbers)
+        grids = self.reader.grids(stored)
+        starts = self.reader.seed_points(stored, stored.first_rooms)
+        goals = self.reader.seed_points(stored, stored.second_rooms)
+        batch = self._as_batch(numbers, numbers, grids, starts, goals)
+        if isinstance(self.serving.problems, Route) and self._labels_fit:
+            batch.compute_paths = lambda: self.reader.paths(stored, self.serving.search)
         return batch
 
-    def _grids(self, places: Ints) -> Bytes:
-        shards, maps, _, _ = self.reader.find(places)
-        return self.reader.grids(shards, maps)
+    def _grids(self, maps: Ints) -> Bytes:
+        return self.reader.grids(self.reader.locate(maps))
 
-    def _stored_rooms(self, places: Ints) -> Rooms:
-        shards, maps, _, _ = self.reader.find(places)
-        return self.reader.rooms(shards, maps, self.serving.search)
+    def _stored_rooms(self, maps: Ints) -> Rooms:
+        """Return the rooms of maps as their shards hold them."""
+        return self.reader.rooms(self.reader.locate(maps), self.serving.search)
 
-    def _seed_points(self, places: Ints) -> Ints:
-        return self._stored_rooms(places).seed_points
+    def _seed_points(self, maps: Ints) -> Ints:
+        return self._stored_rooms(maps).seed_points
 
-    def _rooms(self, places: Ints, grids: Bytes) -> Rooms:
-        return self._stored_rooms(places) if self._is_stored else super()._rooms(places, grids)
+    def _rooms(self, maps: Ints, grids: Bytes) -> Rooms:
+        return self._stored_rooms(maps) if self._labels_fit else super()._rooms(maps, grids)
 
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
+        """Return the maps that follow those of the samples; the first map follows the last."""
         return (indices + attempt) % len(self.reader)
 
 
 def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:
-    """Return the batch after the symmetries drawn for its problems; everything moves along."""
+    """Return a batch after the symmetries that are drawn for its problems.
+
+    Maps, cells, paths and seed points are transformed alike, and other fields are computed from
+    these.
+    """
     rows, columns = batch.grids.shape[1:]
     codes = sample_symmetries(np.uint64(seed), epoch, batch.problems, rows == columns)
 
-    def transformed(cells: Ints, each: Ints | int = 1) -> Ints:
-        """Return cells (..., 2), of which ``each`` says how many a problem has."""
-        flat = transform_cells(cells.reshape(-1, 2), np.repeat(codes, each), rows, columns)
-        return flat.reshape(cells.shape)
+    def transform(cells: Ints, cells_per_problem: Ints | int = 1) -> Ints:
+        """Return cells (..., 2) of all problems, one problem after another."""
+        cell_codes = np.repeat(codes, cells_per_problem)
+        flat_cells = cells.reshape(-1, 2)
+        return transform_cells(flat_cells, cell_codes, rows, columns).reshape(cells.shape)
 
-    def paths() -> Paths:
-        found = batch.paths
-        return found._replace(cells=transformed(found.cells, np.diff(found.offsets)))
+    def compute_paths() -> Paths:
+        paths = batch.paths
+        return paths._replace(cells=transform(paths.cells, np.diff(paths.offsets)))
 
-    def rooms() -> Rooms:
+    def compute_rooms() -> Rooms:
         seed_points = batch.rooms.seed_points
-        return batch.rooms._replace(seed_points=transformed(seed_points, seed_points.shape[1]))
+        return batch.rooms._replace(seed_points=transform(seed_points, seed_points.shape[1]))
 
     return replace(
         batch,
         grids=transform_grids(batch.grids, codes),
-        starts=transformed(batch.starts),
-        goals=transformed(batch.goals),
-        find_paths=paths,
-        find_rooms=rooms,
+        starts=transform(batch.starts),
+        goals=transform(batch.goals),
+        compute_paths=compute_paths,
+        compute_rooms=compute_rooms,
     )
-
-
-def arguments_of(state: dict[str, Any], *own: str) -> dict[str, Any]:
-    """Return the arguments of a pickled dataset: those that both datasets take, and ``own``."""
-    given = {name: state[name] for name in ("split", "dtype", "transform", *own)}
-    return {**vars(state["serving"]), **given}

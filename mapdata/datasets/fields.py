@@ -1,7 +1,7 @@
-"""What a sample can hold: one function a field, each for a whole batch. All are listed in `FIELDS`.
+"""The fields that a sample can have: `FIELDS` lists a function for each of them.
 
-A new field is one function here: it takes a `Batch` and returns an array whose first axis is the
-batch.
+To add a field, write a function here that takes a `Batch` of B problems and returns an array whose
+first axis has length B, and list it in `FIELDS`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from mapdata.datasets.field_kernels import (
     pad_paths,
     path_probabilities,
 )
-from mapdata.datasets.sample import rows_of_path
+from mapdata.datasets.sample import padded_path_length
 from mapdata.movement import Movement
 from mapdata.search.api import SEARCHES, solve_batch
 from mapdata.search.footprint import clearances
@@ -32,22 +32,28 @@ from mapdata.search.lattice import hardness as hardness_of
 
 
 class Paths(NamedTuple):
-    """The paths of a batch: path b is ``cells[offsets[b]:offsets[b + 1]]``.
+    """The paths of a batch: path b is ``cells[offsets[b]:offsets[b + 1]]``, empty if there is none.
 
-    It is empty where there is none.
+    Attributes:
+        cells: (M, 2) int64, the cells of all paths, one path after another.
+        offsets: (B + 1,) int64, where each path begins, and where the last one ends.
+        iterations: (B,) int64, number of cells that the search expanded.
     """
 
     cells: Ints
     offsets: Ints
     iterations: Ints
 
-    def replaced(self, rows: Ints, others: Paths) -> Paths:
-        """Return these paths with ``others`` in their place in some rows."""
-        parts = np.split(self.cells, self.offsets[1:-1])
-        for row, cells in zip(rows, np.split(others.cells, others.offsets[1:-1]), strict=True):
-            parts[row] = cells
-        self.iterations[rows] = others.iterations
-        return Paths(np.concatenate(parts), offsets_of([*map(len, parts)]), self.iterations)
+    def with_rows(self, rows: Ints, replacements: Paths) -> Paths:
+        """Return these paths with path ``rows[k]`` replaced by path k of ``replacements``."""
+        paths = np.split(self.cells, self.offsets[1:-1])
+        new_paths = np.split(replacements.cells, replacements.offsets[1:-1])
+        for row, new_path in zip(rows, new_paths, strict=True):
+            paths[row] = new_path
+        iterations = self.iterations.copy()
+        iterations[rows] = replacements.iterations
+        lengths = [len(path) for path in paths]
+        return Paths(np.concatenate(paths), offsets_of(lengths), iterations)
 
 
 class Rooms(NamedTuple):
@@ -64,21 +70,22 @@ class Rooms(NamedTuple):
 
 @dataclass
 class Batch:
-    """B problems, before any field is made of them.
+    """B problems, from which the functions of `FIELDS` compute the fields.
 
-    What only some fields need is found when it is first asked for.
+    Paths, rooms, costs and goal fields are computed when they are first used, because only some
+    fields need them.
 
     Attributes:
-        movement: how paths move.
-        search: "bfs" or "astar", which found the paths.
+        movement: movement of the paths.
+        search: "bfs" or "astar", the search whose paths are served.
         grids: (B, H, W) uint8 occupancy.
         starts: (B, 2) int64.
         goals: (B, 2) int64.
-        problems: (B,) int64, numbers in the dataset.
-        find_rooms: gives connection matrices and seed points.
-        wanted: names of the fields that will be asked for.
-        max_length: how many cells ``path`` holds; None for what the batch needs.
-        find_paths: gives the paths; None to search them.
+        problems: (B,) int64, numbers of the problems in the dataset.
+        compute_rooms: returns connection matrices and seed points.
+        requested_fields: names of the fields that will be computed from this batch.
+        max_length: fixed number of rows of ``path``; None for a multiple of 16.
+        compute_paths: returns the paths; None to search them.
     """
 
     movement: Movement
@@ -87,46 +94,48 @@ class Batch:
     starts: Ints
     goals: Ints
     problems: Ints
-    find_rooms: Callable[[], Rooms]
-    wanted: tuple[str, ...]
+    compute_rooms: Callable[[], Rooms]
+    requested_fields: tuple[str, ...]
     max_length: int | None = None
-    find_paths: Callable[[], Paths] | None = None
+    compute_paths: Callable[[], Paths] | None = None
 
     __repr__ = summary
 
     @cached_property
     def paths(self) -> Paths:
         """The paths, read or searched."""
-        if self.find_paths:
-            return self.find_paths()
+        if self.compute_paths:
+            return self.compute_paths()
         search = SEARCHES[self.search]
-        # where the robot has no room on the start or the goal, there is no path
-        found = solve_batch(search, self.grids, self.starts, self.goals, self.movement, True)
-        return Paths(found.cells, found.offsets, found.iterations)
+        # An end is occupied where the robot does not fit. Such a problem has no path.
+        solved = solve_batch(
+            search, self.grids, self.starts, self.goals, self.movement, allow_occupied_ends=True
+        )
+        return Paths(solved.cells, solved.offsets, solved.iterations)
 
     @cached_property
     def rooms(self) -> Rooms:
         """The rooms of the maps."""
-        return self.find_rooms()
+        return self.compute_rooms()
 
     @cached_property
     def costs(self) -> Floats:
-        """(B,) cost of the paths, -1 without one; BFS counts moves."""
-        straight, diagonal = count_steps(self.paths.cells, self.paths.offsets)
-        step = 1.0 if self.search == "bfs" else self.movement.diagonal_cost
-        return straight + diagonal * step
+        """(B,) cost of the paths, -1 without a path; BFS counts moves."""
+        straight_moves, diagonal_moves = count_steps(self.paths.cells, self.paths.offsets)
+        diagonal_cost = 1.0 if self.search == "bfs" else self.movement.diagonal_cost
+        return straight_moves + diagonal_moves * diagonal_cost
 
     @cached_property
     def goal_fields(self) -> GoalFields:
-        """The fields that come from the search around the goal, empty if not asked for."""
+        """The fields that come from a search around the goal; those not requested are empty."""
         arrays = []
         for name in GoalFields._fields:
-            count = len(self.grids) if name in self.wanted else 0
+            count = len(self.grids) if name in self.requested_fields else 0
             dtype = np.uint8 if name.startswith("optimal") else np.float32
             arrays.append(np.empty((count, 1, *self.grids.shape[1:]), dtype))
-        fields = GoalFields(*arrays)
-        fill_goal_fields(self.grids, self.starts, self.goals, move_rule(self.movement), fields)
-        return fields
+        goal_fields = GoalFields(*arrays)
+        fill_goal_fields(self.grids, self.starts, self.goals, move_rule(self.movement), goal_fields)
+        return goal_fields
 
 
 def map_(batch: Batch) -> Bytes:
@@ -135,7 +144,7 @@ def map_(batch: Batch) -> Bytes:
 
 
 def free(batch: Batch) -> Bytes:
-    """``free``: (B, 1, H, W) uint8, 1 free: the other polarity."""
+    """``free``: (B, 1, H, W) uint8, 1 free: the opposite of ``map``."""
     return batch.grids[:, None] ^ np.uint8(1)
 
 
@@ -155,11 +164,11 @@ def path(batch: Batch) -> Ints:
     T is a multiple of 16, or ``max_length``.
     """
     cells, offsets, _ = batch.paths
-    longest = np.diff(offsets).max(initial=0)
-    rows = rows_of_path(longest, batch.max_length)
-    padded = np.empty((len(batch.grids), rows, 2), np.int64)
-    pad_paths(cells, offsets, padded)
-    return padded
+    max_cells = np.diff(offsets).max(initial=0)
+    rows = padded_path_length(max_cells, batch.max_length)
+    padded_paths = np.empty((len(batch.grids), rows, 2), np.int64)
+    pad_paths(cells, offsets, padded_paths)
+    return padded_paths
 
 
 def length(batch: Batch) -> Ints:
@@ -177,11 +186,12 @@ def hardness(batch: Batch) -> Float32s:
 
     1 when start = goal, -1 without a path.
     """
-    best = batch.costs
-    # BFS counts moves, which are not its costs
+    optimal_costs = batch.costs
+    # With diagonal moves the number of moves, which BFS minimizes, is not the cost.
     if batch.search == "bfs" and batch.movement.connectivity == 8:
-        best = replace(batch, search="astar", find_paths=None).costs
-    return hardness_of(best, batch.starts, batch.goals, batch.movement).astype(np.float32)
+        optimal_costs = replace(batch, search="astar", compute_paths=None).costs
+    ratios = hardness_of(optimal_costs, batch.starts, batch.goals, batch.movement)
+    return ratios.astype(np.float32)
 
 
 def iterations(batch: Batch) -> Ints:
@@ -200,12 +210,12 @@ def path_mask(batch: Batch) -> Bytes:
 
 def start_mask(batch: Batch) -> Bytes:
     """``start_mask``: (B, 1, H, W) uint8, 1 on the start."""
-    return _points(batch.starts, batch.grids)
+    return _mask_cells(batch.starts, batch.grids)
 
 
 def goal_mask(batch: Batch) -> Bytes:
     """``goal_mask``: (B, 1, H, W) uint8, 1 on the goal."""
-    return _points(batch.goals, batch.grids)
+    return _mask_cells(batch.goals, batch.grids)
 
 
 def optimal_mask(batch: Batch) -> Bytes:
@@ -227,10 +237,8 @@ def cost_to_go(batch: Batch) -> Float32s:
 def optimal_moves(batch: Batch) -> Bytes:
     """``optimal_moves``: (B, 1, H, W) uint8, the moves that start a shortest path.
 
-    Bit k stands for move k.
-
-    Move k is `mapdata.search.STEPS[k]`. 0 at the goal, in walls and where the goal cannot be
-    reached.
+    Bit k stands for move k, `mapdata.search.STEPS[k]`. The bit set is 0 at the goal, in walls and
+    where the goal cannot be reached.
     """
     return batch.goal_fields.optimal_moves
 
@@ -238,7 +246,7 @@ def optimal_moves(batch: Batch) -> Bytes:
 def heuristic_ratio(batch: Batch) -> Float32s:
     """``heuristic_ratio``: (B, 1, H, W) float32, heuristic over cost to go.
 
-    1 at the goal, 0 where it cannot be reached.
+    1 at the goal, 0 where the goal cannot be reached.
 
     TransPath's correction factor "CF" (Kirilenko et al., AAAI 2023, https://arxiv.org/abs/2212.11730).
     """
@@ -251,7 +259,7 @@ def clearance(batch: Batch) -> Float32s:
 
 
 def path_probability(batch: Batch) -> Float32s:
-    """``path_probability``: (B, 1, H, W) float32, how near a shortest path passes.
+    """``path_probability``: (B, 1, H, W) float32, how close a cell n is to a shortest path.
 
     L / (d(start, n) + d(n, goal) + d(n, path)) for the path's cost L, set to 0 below 0.95.
 
@@ -278,11 +286,10 @@ def seed_points(batch: Batch) -> Ints:
 
 
 def problem(batch: Batch) -> Ints:
-    """``problem``: (B,) int64, the problem's number in the dataset, filters and radius aside.
+    """``problem``: (B,) int64, the problem's number in the dataset, before filters and radius.
 
-    Numbers count the problems that have a path under the stored movement, or with
-    ``unsolvable=True`` all. They count all, too, where the served movement cuts corners and the
-    stored one does not.
+    Problems are counted that have a path under the stored movement. All problems are counted with
+    ``unsolvable=True``, and where the served movement cuts corners and the stored one does not.
     """
     return batch.problems
 
@@ -318,16 +325,26 @@ FIELDS: dict[str, Field] = {
 """All fields by name."""
 
 
-def _points(cells: Ints, grids: Bytes) -> Bytes:
+def _mask_cells(cells: Ints, grids: Bytes) -> Bytes:
+    """Return (B, 1, H, W) uint8, 1 on cell b, (row, column), of mask b."""
     mask = np.zeros((len(grids), 1, *grids.shape[1:]), np.uint8)
-    mask[(np.arange(len(cells)), 0, *cells.T)] = 1
+    rows, columns = cells.T
+    mask[np.arange(len(cells)), 0, rows, columns] = 1
     return mask
 
 
 def room_matrices(search: str, grids: Bytes, seed_points: Ints, movement: Movement) -> Float32s:
-    """Return connection matrices (B, R, R) float32 between ``seed_points`` (B, R, 2).
+    """Return connection matrices (B, R, R) float32 of maps that are solved anew.
 
-    -1 no connection, -2 where a seed point is (-1, -1). "bfs" counts moves.
+    An entry is -1 without a connection, and -2 where a seed point is padding.
+
+    Args:
+        search: "bfs" counts moves, "astar" adds their costs.
+        grids: (B, H, W).
+        seed_points: (B, R, 2), padded with -1.
+        movement: movement of the paths.
     """
-    diagonals, step = move_rule(movement)
-    return fill_room_matrices(grids, seed_points, (diagonals, UNIT if search == "bfs" else step))
+    diagonals, diagonal_cost = move_rule(movement)
+    if search == "bfs":
+        diagonal_cost = UNIT
+    return fill_room_matrices(grids, seed_points, (diagonals, diagonal_cost))

@@ -1,21 +1,23 @@
-"""`OnlineMapDataset`: maps made and solved as they are asked for, without a disk."""
+"""`OnlineMapDataset`: maps that are generated and solved on the fly, without a disk."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import torch
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.checks import check_count
-from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving
-from mapdata.datasets.dataset import ProblemDataset, Sampled, Transform, arguments_of
+from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving, Transform
+from mapdata.datasets.dataset import ProblemDataset, SampledProblems
 from mapdata.datasets.fields import Paths
+from mapdata.datasets.info import DatasetInfo, field_infos
+from mapdata.generators.generator import identity
 from mapdata.generators.maps import Maps
-from mapdata.generators.recipe import RecipeLike, as_recipe, generate
-from mapdata.generators.splits import maps_of_split
+from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe, generate
+from mapdata.generators.splits import draw_splits, maps_of_split, split_thresholds
+from mapdata.limits import SPLITS
 from mapdata.movement import Movement
 from mapdata.problems.sampling import solve_pairs
 from mapdata.problems.sources import Random, Route, SourceLike, problem_source
@@ -25,13 +27,13 @@ from mapdata.search.lattice import move_rule
 
 
 class OnlineMapDataset(ProblemDataset):
-    """Maps made and solved as they are asked for: one problem a map, nothing on disk.
+    """Maps that are generated and solved on the fly: one problem a map, without a disk.
 
-    They are the maps that shards would hold.
+    The maps are those that shards of the same spec and seed hold.
 
     Sample i is of the i-th map of the recipe, or of the i-th one that belongs to ``split``. Route
     and pairs problems are one segment or pair of the map, drawn anew each epoch. A map without any
-    problem of the kind is replaced by one from beyond ``length``.
+    such problem is replaced by one of the ``length`` maps that follow those of the samples.
 
     Args:
         recipe: which maps: a preset's name, a recipe file, its JSON text or mapping, a
@@ -44,6 +46,8 @@ class OnlineMapDataset(ProblemDataset):
     Raises:
         ValueError: arguments that do not fit, or that would do nothing.
     """
+
+    _opened = ("_map_indices",)
 
     def __init__(
         self,
@@ -64,29 +68,39 @@ class OnlineMapDataset(ProblemDataset):
         radius: float = 0.0,
     ) -> None:
         """Check the arguments; no map is made yet."""
-        source = problem_source(problems)
         serving = Serving(
-            fields, source, search, movement, augment, sampling_seed, max_length, radius
+            fields=fields,
+            problems=problem_source(problems),
+            search=search,
+            movement=movement,
+            augment=augment,
+            sampling_seed=sampling_seed,
+            max_length=max_length,
+            dtype=dtype,
+            transform=transform,
+            radius=radius,
         )
-        super().__init__(split, serving, dtype, transform)
+        super().__init__(split, serving)
         recipe = as_recipe(recipe, seed=seed)
         self.spec = recipe.spec
         self.seed = recipe.seed
         self.length = recipe.maps if length is None else check_count("length", length)
         self.movement = movement or self.spec.movement
         self.map_size = self.spec.map_size
-        self._least = min_squared_clearance(radius, self.spec.resolution)
-        self._numbers = (
-            None if split is None else maps_of_split(self.spec, self.seed, split, 2 * self.length)
-        )
+        self._min_clearance = min_squared_clearance(radius, self.spec.resolution)
+        self._open()
+
+    def _open(self) -> None:
+        # The indices of the split's maps in the recipe; None if these are all maps. The first
+        # `length` maps are those of the samples. As many again are their substitutes.
+        self._map_indices = None
+        if self.split is not None:
+            map_count = 2 * self.length
+            self._map_indices = maps_of_split(self.spec, self.seed, self.split, map_count)
 
     def __len__(self) -> int:
         """Return the number of problems."""
         return self.length
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        OnlineMapDataset.__init__(self, **arguments_of(state, "spec", "seed", "length"))
-        vars(self).update(state)
 
     def __repr__(self) -> str:
         return (
@@ -94,41 +108,76 @@ class OnlineMapDataset(ProblemDataset):
             f"problems={self.serving.problems}): {self.length} problems"
         )
 
-    def _maps(self, places: Ints) -> Maps:
-        numbers = places if self._numbers is None else self._numbers[places]
-        return generate(self.spec, self.seed, numbers)
+    @property
+    def info(self) -> DatasetInfo:
+        """Where the maps come from, their counts, and what a sample holds.
 
-    def _grids(self, places: Ints) -> Bytes:
-        return self._inflated(self._maps(places))
+        Each problem counts as one map, although a map without a problem is replaced by another map.
+        The shapes of the fields are those of the first sample, which is made for it.
+        """
+        if self.split is not None:
+            counts = {self.split: self.length}
+        else:
+            thresholds = split_thresholds(self.spec.splits)
+            codes = draw_splits(np.uint64(self.seed), np.arange(self.length), thresholds)
+            split_counts = np.bincount(codes, minlength=len(SPLITS)).tolist()
+            counts = dict(zip(SPLITS, split_counts, strict=True))
+        return DatasetInfo(
+            roots=(),
+            recipes=(Recipe(self.spec, self.seed, self.length),),
+            identities=(identity(self.spec, self.seed),),
+            content_hashes=(None,),
+            map_counts=counts,
+            problem_counts=dict(counts),
+            map_size=self.map_size,
+            resolution=self.spec.resolution,
+            movement=self.movement,
+            fields=field_infos(self._load(np.array([0]), 0)),
+        )
+
+    def _maps(self, maps: Ints) -> Maps:
+        """Return maps by their numbers in the split."""
+        indices = maps if self._map_indices is None else self._map_indices[maps]
+        return generate(self.spec, self.seed, indices)
+
+    def _grids(self, maps: Ints) -> Bytes:
+        return self._inflated(self._maps(maps))
 
     def _inflated(self, maps: Maps) -> Bytes:
+        """Return the grids of maps, inflated by the radius of the robot."""
         grids = maps.occupancy
-        if self._least > 1:  # else nothing changes, and the kernel need not be compiled
-            inflate_all(grids, self._least)
+        if self._min_clearance > 1:  # a smaller clearance occupies no cell: spare the compilation
+            inflate_all(grids, self._min_clearance)
         return grids
 
-    def _seed_points(self, places: Ints) -> Ints:
-        return self._maps(places).seed_points
+    def _seed_points(self, maps: Ints) -> Ints:
+        return self._maps(maps).seed_points
 
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
+        """Return maps from the second half of the 2 * length maps, which belong to no sample.
+
+        Sample i gets map length + i first, then the maps that follow it; after the last map comes
+        the first one of the second half.
+        """
         return self.length + (indices + attempt - 1) % self.length
 
-    def _sample(self, places: Ints, indices: Ints, epoch: int, attempt: int) -> Sampled:
+    def _sample(self, maps: Ints, indices: Ints, epoch: int, attempt: int) -> SampledProblems:
         problems = self.serving.problems
         if isinstance(problems, Random):
-            return super()._sample(places, indices, epoch, attempt)
-        maps = self._maps(places)
-        grids = self._inflated(maps)
-        ends, *found = solve_pairs(
+            return super()._sample(maps, indices, epoch, attempt)
+        generated = self._maps(maps)
+        grids = self._inflated(generated)
+        is_route = isinstance(problems, Route)
+        ends, cells, offsets, iterations = solve_pairs(
             grids,
-            maps.seed_points,
-            maps.rooms,
+            generated.seed_points,
+            generated.rooms,
             np.uint64(self.serving.sampling_seed),
             epoch,
             indices,
-            isinstance(problems, Route),
+            is_route,
             problems.unsolvable,
             SEARCHES[self.serving.search],
             move_rule(self.movement),
         )
-        return grids, ends, Paths(*found)
+        return SampledProblems(grids, ends, Paths(cells, offsets, iterations))

@@ -1,4 +1,4 @@
-"""The order of a data loader, which a resumed training takes up again."""
+"""`EpochSampler`: the order of a data loader, which a resumed training continues."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 
 class LateLoader(DataLoader[Sample]):
-    """A DataLoader that starts when its first batch is asked for, not when it is iterated over.
+    """A DataLoader that starts when its first batch is requested, not when it is iterated over.
 
-    Lightning makes the iterator before it has restored where a checkpoint stopped, and workers
-    fetch ahead at once.
+    Lightning creates the iterator before it has restored the position of a checkpoint, and workers
+    prefetch batches at once.
     """
 
     def __iter__(self) -> Iterator[Any]:  # type: ignore[override]
@@ -31,14 +31,15 @@ class LateLoader(DataLoader[Sample]):
 
 
 class EpochSampler(DistributedSampler[Any]):
-    """Yields ``index + epoch * len(dataset)``, each rank its share, from where the Trainer is.
+    """Yields ``index + epoch * len(dataset)``: each rank its share, from the Trainer's position on.
 
-    Training: a permutation that is a function of (sampling seed, epoch); all ranks get equally
-    many, at most ranks - 1 samples are left out. Else: the order of the dataset, epoch 0, every
-    sample on exactly one rank.
-    It asks for epoch, rank and position when it is first iterated over, so that a resumed epoch
-    goes on where it stopped. Without a Trainer the first pass is epoch 0, or the one that
-    `set_epoch` says, and each further pass the next one.
+    For training the order is a permutation that is a function of (sampling seed, epoch). All ranks
+    get equally many samples, so up to ranks - 1 samples are left out. For evaluation the order is
+    that of the dataset in epoch 0, and every sample is on exactly one rank.
+
+    Epoch, rank and position are read when the iteration starts, so that a resumed epoch continues
+    where it stopped. Without a Trainer the first pass is epoch 0, or the epoch that `set_epoch`
+    sets, and each further pass is the next epoch.
     """
 
     def __init__(
@@ -47,9 +48,25 @@ class EpochSampler(DistributedSampler[Any]):
         batch_size: int,
         sampling_seed: int | None,
         module: pl.LightningDataModule | None = None,
+        *,
+        drop_last: bool = False,
     ) -> None:
-        """Sample ``dataset``; ``sampling_seed`` None keeps its order."""
-        super().__init__(dataset, num_replicas=1, rank=0, shuffle=sampling_seed is not None)
+        """Keep the arguments.
+
+        Args:
+            dataset: whose samples are ordered.
+            batch_size: samples in a batch of the loader.
+            sampling_seed: seed of the permutations; None keeps the order of the dataset.
+            module: its Trainer knows epoch, rank and position.
+            drop_last: whether the loader leaves out a last batch that is not full.
+        """
+        super().__init__(
+            dataset,
+            num_replicas=1,
+            rank=0,
+            shuffle=sampling_seed is not None,
+            drop_last=drop_last,
+        )
         self.batch_size = batch_size
         self.sampling_seed = sampling_seed
         self.module = module
@@ -59,30 +76,31 @@ class EpochSampler(DistributedSampler[Any]):
         return f"EpochSampler({self.dataset}, {arguments})"
 
     def __len__(self) -> int:
-        """Return how many samples this rank gets."""
-        rank, world = self._share()
-        total = len(self.dataset)  # type: ignore[arg-type]
+        """Return the number of samples of this rank."""
+        rank, rank_count = self._rank()
+        sample_count = len(self.dataset)  # type: ignore[arg-type]
         if self.sampling_seed is None:
-            return len(range(rank, total, world))
-        return total // world
+            return len(range(rank, sample_count, rank_count))
+        return sample_count // rank_count
 
     def __iter__(self) -> Iterator[int]:
-        rank, world = self._share()
-        total = len(self.dataset)  # type: ignore[arg-type]
+        rank, rank_count = self._rank()
+        sample_count = len(self.dataset)  # type: ignore[arg-type]
         if self.sampling_seed is None:
-            yield from range(rank, total, world)
+            yield from range(rank, sample_count, rank_count)
             return
-        epoch, done = self._position()
-        # Four bytes a sample: Python's integers take nine times as much, so each batch has its own.
-        order = np.arange(total, dtype=np.uint32)
+        epoch, batches_done = self._position()
+        # As an array the order takes four bytes a sample. Python's integers take nine times as
+        # much, so they are created for one batch at a time.
+        order = np.arange(sample_count, dtype=np.uint32)
         shuffle(order, np.uint64(self.sampling_seed), epoch)
-        mine = order[rank::world][: len(self)]  # all ranks get equally many
-        for first in range(done * self.batch_size, len(mine), self.batch_size):
-            batch = mine[first : first + self.batch_size].astype(np.int64)
-            yield from (batch + epoch * total).tolist()
+        share = order[rank::rank_count][: len(self)]
+        for first in range(batches_done * self.batch_size, len(share), self.batch_size):
+            indices = share[first : first + self.batch_size].astype(np.int64)
+            yield from (indices + epoch * sample_count).tolist()
 
-    def _share(self) -> tuple[int, int]:
-        """Return (rank, number of ranks)."""
+    def _rank(self) -> tuple[int, int]:
+        """Return the rank of this process and the number of ranks."""
         trainer = getattr(self.module, "trainer", None)
         if trainer is not None:
             return trainer.global_rank, trainer.world_size
@@ -91,28 +109,35 @@ class EpochSampler(DistributedSampler[Any]):
         return 0, 1
 
     def _position(self) -> tuple[int, int]:
-        """Return the epoch and how many of its batches are done."""
+        """Return the epoch and the number of its batches that are done."""
         trainer = getattr(self.module, "trainer", None)
         if trainer is not None and trainer.training:
-            # Not a public attribute, but the only place that knows:
-            # tests/datasets/test_datamodule.py watches it.
-            done = int(trainer.fit_loop.epoch_loop.batch_progress.current.ready)
-            batches = -(-len(self) // self.batch_size)
-            return trainer.current_epoch, done if done < batches else 0
-        epoch = self.epoch  # 0 at first, or what `set_epoch` says
+            # This attribute of Lightning is not public, but no public one holds the number.
+            # tests/datasets/test_datamodule.py would notice a change.
+            batches_done = int(trainer.fit_loop.epoch_loop.batch_progress.current.ready)
+            is_within_epoch = batches_done < self._batch_count()
+            return trainer.current_epoch, batches_done if is_within_epoch else 0
+        epoch = self.epoch
         self.epoch += 1
         return epoch, 0
+
+    def _batch_count(self) -> int:
+        """Return the number of batches of an epoch on this rank."""
+        full_batches, remainder = divmod(len(self), self.batch_size)
+        has_partial_batch = remainder > 0 and not self.drop_last
+        return full_batches + has_partial_batch
 
 
 @kernel
 def shuffle(order: Ints | UInt32s, seed: np.uint64, epoch: Int) -> None:
-    """Bring ``order`` into that of an epoch, by the shuffle of Fisher and Yates.
+    """Permute ``order`` in place for an epoch, by the shuffle of Fisher and Yates.
 
-    Its draws are 64-bit words of stream ORDER.
+    It draws 64-bit words of stream ORDER.
     """
     for k in range(len(order) - 1, 0, -1):
         w0, w1, _w2, _w3 = block(seed, np.uint64(k), epoch, ORDER, 0)
-        # multiply-high of a 64-bit word, in two halves
+        # j = (word * n) >> 64 for the 64-bit word with the upper half w0 and the lower half w1. It
+        # is computed in two halves, because the product has more than 64 bits.
         n = np.uint64(k + 1)
         j = (w0 * n + ((w1 * n) >> np.uint64(32))) >> np.uint64(32)
         order[k], order[np.int64(j)] = order[np.int64(j)], order[k]

@@ -1,4 +1,4 @@
-"""Which functions cannot be the ``transform=`` of a dataset: torchvision's geometric ones."""
+"""`check_transform` refuses a ``transform=`` that would move the map, but not its path."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from functools import partial
 import torch
 
 GEOMETRIC_MODULES = ("_geometry", "_auto_augment", "autoaugment")
-"""Modules of torchvision all of whose classes and functions move pixels: the geometric ones of its
-version 2, and the automatic policies of both versions, which shear, shift and rotate."""
+"""Modules of torchvision that hold only classes and functions that move pixels.
+
+They are the geometric transforms of its version 2, and the automatic policies of both versions,
+which shear, shift and rotate.
+"""
 
 GEOMETRIC_NAMES = (
     "CenterCrop",
@@ -39,15 +42,19 @@ GEOMETRIC_NAMES = (
     "ten_crop",
     "vflip",
 )
-"""What moves pixels in the modules of torchvision's version 1, which also hold what does not."""
+"""Names that move pixels in the modules of torchvision's version 1.
+
+These modules also hold transforms that do not move pixels.
+"""
 
 
 def check_transform(transform: object) -> None:
-    """Refuse what cannot be called with a sample, and torchvision's geometric transforms.
+    """Refuse a transform that is not callable, and torchvision's geometric transforms.
 
-    Torchvision takes the first tensor of a sample, its map, for the image and leaves all others as
-    they are. So a flip would move the obstacles, but neither start, goal and path nor masks and
-    costs. Torchvision is not imported: its classes are known by the modules that define them.
+    Torchvision takes the first tensor of a sample, its map, for the image and leaves all other
+    tensors unchanged. So a flip would move the obstacles, but neither start, goal and path nor
+    masks and costs. Torchvision is not imported: its classes are known by the modules that define
+    them.
 
     Raises:
         ValueError: it is not callable; it is a geometric transform, or a container that holds one.
@@ -68,8 +75,8 @@ def check_transform(transform: object) -> None:
 def _geometric_names(transform: object) -> Iterator[str]:
     """Yield the names of the geometric transforms of torchvision in ``transform``.
 
-    They are found in containers of torchvision and torch, in a ``Lambda`` and in a ``partial``. A
-    function or class of the user's own is not looked into: it may well move every field.
+    Containers of torchvision and torch, a ``Lambda`` and a ``partial`` are searched. A function or
+    class of the user is not: it may well move every field.
     """
     ancestors = type(transform).__mro__
     for definition in (transform, *ancestors):  # a function, or an object of such a class
@@ -78,9 +85,9 @@ def _geometric_names(transform: object) -> Iterator[str]:
             yield name
             return
     children: list[object] = []
-    if any(_module_in_torchvision(ancestor) for ancestor in ancestors):
-        children += getattr(transform, "transforms", ())  # of Compose, RandomApply and their like
-        children.append(getattr(transform, "lambd", None))  # of Lambda
+    if any(_torchvision_module(ancestor) for ancestor in ancestors):
+        children += getattr(transform, "transforms", ())  # the attribute of Compose and its like
+        children.append(getattr(transform, "lambd", None))  # the attribute of Lambda
     elif isinstance(transform, torch.nn.Sequential):
         children += transform
     elif isinstance(transform, partial):
@@ -90,12 +97,14 @@ def _geometric_names(transform: object) -> Iterator[str]:
 
 
 def _is_geometric(definition: object, name: str) -> bool:
-    """Return whether a class or function of this name is one of torchvision that moves pixels."""
-    module = _module_in_torchvision(definition)
-    return module in GEOMETRIC_MODULES or (module != "" and name in GEOMETRIC_NAMES)
+    """Return whether a class or function is one of torchvision's that move pixels."""
+    module = _torchvision_module(definition)
+    if not module:
+        return False
+    return module in GEOMETRIC_MODULES or name in GEOMETRIC_NAMES
 
 
-def _module_in_torchvision(definition: object) -> str:
-    """Return the last name of the module that defines it, nothing if it is not torchvision's."""
+def _torchvision_module(definition: object) -> str:
+    """Return the last name of the module that defines it, or "" if it is not torchvision's."""
     module = str(getattr(definition, "__module__", None))  # functions written in C may have none
     return module.rpartition(".")[2] if module.startswith("torchvision.") else ""

@@ -6,21 +6,23 @@ Each function draws on axes and returns them, as in `mapdata.plotting.plot`.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mapdata.arrays import Ints
+from mapdata.arrays import Array, Ints
+from mapdata.limits import MAPS_AND_MASKS
 from mapdata.plotting.plot import COLOURS, mark, new_axes, plot_cells, plot_grid, put_header
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from mapdata.datasets.sample import Sample
+MAX_SAMPLES = 9
+"""Largest number of samples that one figure shows."""
 
 
-def plot_sample(sample: Sample, axes: Axes | None = None) -> Axes:
+def plot_sample(sample: tuple[Any, ...], axes: Axes | None = None) -> Axes:
     """Draw a sample of a dataset, or the first 9 of a batch.
 
     The figure shows the map, start S, goal G and path, as far as the sample has these fields, and
@@ -29,7 +31,8 @@ def plot_sample(sample: Sample, axes: Axes | None = None) -> Axes:
     ``plot_sample(dataset[:9]).figure.savefig("batch.png")`` writes a picture.
 
     Args:
-        sample: what ``dataset[i]`` or a loader returns; with the field ``map`` or ``free``.
+        sample: what ``dataset[i]`` or a loader returns, a NamedTuple of tensors; with the field
+            ``map`` or ``free``.
         axes: where to draw a single sample; default a new figure. A batch needs a new figure.
 
     Returns:
@@ -38,8 +41,6 @@ def plot_sample(sample: Sample, axes: Axes | None = None) -> Axes:
     Raises:
         ValueError: no map, no sample, or axes for a batch.
     """
-    from mapdata.datasets.sample import MAPS_AND_MASKS, row
-
     if not hasattr(sample, "_asdict"):
         raise ValueError(f"sample: got a {type(sample).__name__}, expected one without transform=")
     fields = {name: np.asarray(tensor.cpu()) for name, tensor in sample._asdict().items()}
@@ -54,22 +55,17 @@ def plot_sample(sample: Sample, axes: Axes | None = None) -> Axes:
             f"sample: got {sample}, expected one sample, or more without axes, with a map"
         )
     if is_batch:
-        count = min(len(grid), 9)
+        count = min(len(grid), MAX_SAMPLES)
         columns = math.ceil(math.sqrt(count))
         rows = math.ceil(count / columns)
         all_axes = new_axes(rows, columns, (4.2 * columns, 4.2 * rows))
         for k in range(count):
-            plot_sample(row(sample, k), all_axes[k])
+            plot_sample(type(sample)(*(tensor[k] for tensor in sample)), all_axes[k])
         for unused in all_axes[count:]:
             unused.set_axis_off()
         return all_axes[0]
     axes = plot_grid(grid[0], axes)
-    not_shaded = {*MAPS_AND_MASKS, "optimal_moves"}  # zeros and ones, and sets of bits
-    dense_names = [
-        name
-        for name, array in fields.items()
-        if name not in not_shaded and array.shape == grid.shape
-    ]
+    dense_names = [name for name, field in fields.items() if _is_dense(name, field, grid)]
     if dense_names:
         name = dense_names[0]
         is_hidden = (grid == 1) | (fields[name] < 0)
@@ -169,6 +165,11 @@ def plot_roadmap(
     axes.scatter(points[:, 1], points[:, 0], s=16, color=COLOURS["astar"], label=label, zorder=3)
     put_header(axes, "roadmap")
     return axes
+
+
+def _is_dense(name: str, field: Array, grid: Array) -> bool:
+    """Return whether a field has a number for each cell; masks and sets of moves do not count."""
+    return field.shape == grid.shape and name not in (*MAPS_AND_MASKS, "optimal_moves")
 
 
 def _path_label(name: str, path: Ints) -> str:

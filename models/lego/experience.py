@@ -396,7 +396,13 @@ class FixedProblems(MapDataModule):
         """Return the loader of the training split, in an order of its own each epoch."""
         loader = super().train_dataloader()
         dataset = _FirstEpoch(loader.dataset, range(len(self.datasets["train"])))
-        return LateLoader(dataset, self.batch_size, sampler=loader.sampler, **self.loading)
+        return LateLoader(
+            dataset,
+            self.batch_size,
+            sampler=loader.sampler,
+            drop_last=loader.drop_last,
+            **self.loader_options,
+        )
 
 
 class _FirstEpoch(Subset[Sample]):

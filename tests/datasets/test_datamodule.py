@@ -14,7 +14,9 @@ from collections import UserDict, UserList
 from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
+from inspect import signature
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,11 +25,12 @@ import pytorch_lightning as pl
 import torch
 import yaml
 from helpers import ranks, reference, run_helper, samples
+from helpers.figures import assert_lines, drawn, figure_of
 from helpers.training import FIELDS, Model, Seen, module, trainer
 from pytorch_lightning.callbacks import ModelCheckpoint
 from pytorch_lightning.cli import LightningCLI
 from pytorch_lightning.loggers import CSVLogger, Logger, TensorBoardLogger
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, TensorDataset
 
 from mapdata import (
     DatasetNotFoundError,
@@ -42,8 +45,10 @@ from mapdata import (
     verify,
 )
 from mapdata.datasets import EpochSampler
+from mapdata.datasets.datamodule import OWN_LOADER_OPTIONS
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.generators import as_recipe
+from mapdata.plotting import COLOURS
 from mapdata.problems import Source
 from mapdata.shards import builder, read_manifest
 
@@ -100,7 +105,7 @@ loader_dataset, collate = pickle.load(sys.stdin.buffer)  # as a spawned loader w
 collate(loader_dataset.__getitems__([2, 1, 0]))
 report()
 from mapdata import MapDataset, MapSpec, build
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, TensorDataset
 build(sys.argv[1], MapSpec(), maps=3)
 next(iter(DataLoader(MapDataset(sys.argv[1]), 2)))
 report()
@@ -310,9 +315,8 @@ def test_the_order_is_a_permutation_without_pattern() -> None:
 
 def sampler_of(count: int, batch_size: int, sampling_seed: int) -> EpochSampler:
     """Return the sampler of a dataset of so many problems."""
-    data = MapDataset.__new__(MapDataset)  # the sampler asks it for its length alone
-    data.__dict__["_kept"] = np.arange(count)
-    return EpochSampler(data, batch_size, sampling_seed)
+    dataset: Any = TensorDataset(torch.zeros(count))
+    return EpochSampler(dataset, batch_size, sampling_seed)
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 64, 300])
@@ -505,6 +509,8 @@ RESUMED: dict[str, tuple[dict[str, Any], dict[str, Any], int]] = {
     "validation-there": ({}, {"val_check_interval": 5, "estimate": True}, 5),
     "limit": ({}, {"limit_train_batches": 7, "estimate": True}, 9),
     "limit-end": ({}, {"limit_train_batches": 7}, 7),
+    "drop-last": ({"drop_last": True}, {"estimate": True}, 5),
+    "drop-last-end": ({"drop_last": True}, {"estimate": True}, 10),
 }
 """Arguments of the data module, of model and Trainer, and the step that is gone on from."""
 
@@ -525,7 +531,7 @@ def test_a_resumed_epoch_goes_on_where_it_stopped(root: str, tmp_path: Path, cas
     done = step * arguments.get("accumulate_grad_batches", 1)
     assert 0 < done < len(whole.seen)
     assert rest.seen == whole.seen[done:]
-    assert _is_within_an_epoch(whole.seen, done) == (case != "limit-end")
+    assert _is_within_an_epoch(whole.seen, done) == (not case.endswith("-end"))
 
 
 def _is_within_an_epoch(seen: list[Seen], done: int) -> bool:
@@ -620,7 +626,9 @@ def test_hydra_makes_a_module(root: str, tmp_path: Path) -> None:
         "dtype": "float32",
     }
     source, movement = Random(distance=(3, None)), Movement(8)
-    expected = MapDataModule([root, root], fields=FIELDS, problems=source, movement=movement)
+    expected = MapDataModule(
+        [root, root], fields=FIELDS, problems=source, movement=movement, dtype=torch.float32
+    )
     for arguments in (
         {"problems": {"random": {"distance": [3, None]}}, "movement": {"connectivity": 8}},
         {
@@ -1065,3 +1073,166 @@ def test_one_class_serves_both_packages(root: str) -> None:
     )
     run.fit(model, datamodule=module(root))
     assert sorted(model.seen) == list(range(len(MapDataset(root, "train"))))
+
+
+@pytest.mark.parametrize(("drop_last", "batch_count"), [(True, 2), (False, 3)])
+def test_a_pass_whose_batches_are_all_done_starts_again(drop_last: bool, batch_count: int) -> None:
+    """Of 20 samples 2 or 3 batches of 8 are an epoch: a Trainer at its end is at the next start."""
+    dataset: Any = TensorDataset(torch.zeros(20))
+    progress = SimpleNamespace(current=SimpleNamespace(ready=0))
+    loop = SimpleNamespace(epoch_loop=SimpleNamespace(batch_progress=progress))
+    run = SimpleNamespace(
+        training=True, current_epoch=0, global_rank=0, world_size=1, fit_loop=loop
+    )
+    sampler = EpochSampler(dataset, 8, 3, SimpleNamespace(trainer=run), drop_last=drop_last)  # type: ignore[arg-type]
+    order = list(sampler)
+    for batches_done in range(batch_count + 1):
+        progress.current.ready = batches_done
+        expected = order if batches_done == batch_count else order[8 * batches_done :]
+        assert list(sampler) == expected
+
+
+# --- options of torch's DataLoader --------------------------------------------------------------
+
+
+def test_drop_last_leaves_out_training_samples_alone(root: str) -> None:
+    """All training batches are full; validation, test and prediction serve every sample."""
+    data = module(root, drop_last=True)
+    count = len(MapDataset(root, "train"))
+    assert count % 8, "a last batch that is not full"
+    sizes = [len(batch.map) for batch in batches_of(data)]
+    assert sizes == [8] * (count // 8)
+    assert len(data.train_dataloader()) == count // 8
+    assert [len(batch.map) for batch in batches_of(module(root))] == [*sizes, count % 8]
+    for loader, split in (
+        (data.val_dataloader(), "val"),
+        (data.test_dataloader(), "test"),
+        (data.predict_dataloader(), "test"),
+    ):
+        assert sum(len(batch.map) for batch in loader) == len(MapDataset(root, split))
+
+
+def test_drop_last_that_leaves_no_batch_is_refused(root: str) -> None:
+    """A training without a single batch would pass for one that is done."""
+    count = len(MapDataset(root, "train"))
+    message = f"drop_last: {count} training samples do not fill a batch of {count + 1}; take a"
+    with pytest.raises(ValueError, match=message):
+        module(root, batch_size=count + 1, drop_last=True).train_dataloader()
+    assert len(module(root, batch_size=count, drop_last=True).train_dataloader()) == 1
+
+
+def seed_worker(_: int) -> None:
+    """Stand for what users do when a worker starts."""
+
+
+def test_loader_options_reach_every_loader(root: str, tmp_path: Path) -> None:
+    """Checkpoints hold those of them that are plain values."""
+    options = {"timeout": 30, "worker_init_fn": seed_worker}
+    data = module(root, num_workers=1, loader_options=options)
+    for loader in (data.train_dataloader(), data.val_dataloader(), data.predict_dataloader()):
+        assert (loader.timeout, loader.worker_init_fn) == (30, seed_worker)
+        assert (loader.num_workers, loader.batch_size) == (1, 8)
+    assert data.hparams["loader_options"] == {"timeout": 30}
+    run = trainer(max_steps=1, limit_val_batches=0)
+    run.fit(Model(), datamodule=module(root, loader_options={"worker_init_fn": seed_worker}))
+    run.save_checkpoint(tmp_path / "last.ckpt")
+    assert MapDataModule.load_from_checkpoint(tmp_path / "last.ckpt").loader_options == {
+        "num_workers": 0,
+        "pin_memory": False,
+        "persistent_workers": False,
+        "prefetch_factor": None,
+        "multiprocessing_context": None,
+    }
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"time_out": 3}, "loader_options: got 'time_out', .*did you mean timeout?"),
+        ({"sampler": []}, "loader_options: got 'sampler', but the data module sets it"),
+        ({"batch_sampler": []}, "loader_options: got 'batch_sampler', but the data module sets it"),
+        ({"shuffle": False}, "loader_options: got 'shuffle', but the data module sets it"),
+        ({"collate_fn": list}, "loader_options: got 'collate_fn', but .* transform="),
+        ({"dataset": []}, "loader_options: got 'dataset', but the data module opens"),
+        ({"num_workers": 2}, "loader_options: got 'num_workers', but it is an argument"),
+        ({"drop_last": True}, "loader_options: got 'drop_last', but it is an argument"),
+        (["timeout"], r"loader_options: got \['timeout'\], expected options by name"),
+    ],
+)
+def test_loader_options_that_do_not_fit_are_refused(root: str, options: Any, message: str) -> None:
+    """In one line, before anything is opened."""
+    with pytest.raises(ValueError, match=message) as error:
+        module(root, loader_options=options)
+    assert "\n" not in str(error.value)
+
+
+def test_every_option_of_torchs_loader_is_accepted_or_refused_by_name(root: str) -> None:
+    """None is both, and the arguments of the data module are those that the refusal names."""
+    names = set(signature(DataLoader).parameters)
+    assert set(OWN_LOADER_OPTIONS) <= names
+    arguments = set(signature(MapDataModule).parameters)
+    for name, reason in OWN_LOADER_OPTIONS.items():
+        assert (name in arguments) == ("argument" in reason), name
+    for name in names - set(OWN_LOADER_OPTIONS):
+        assert module(root, loader_options={name: None}).loader_options[name] is None
+
+
+def test_hydra_gives_loader_options(root: str) -> None:
+    """As a part of its configuration, which becomes a plain dict."""
+    instantiate = pytest.importorskip("hydra.utils").instantiate
+    create = pytest.importorskip("omegaconf").OmegaConf.create
+    arguments = {"root": root, "drop_last": True, "loader_options": {"timeout": 5}}
+    data = instantiate(create({"_target_": "mapdata.MapDataModule", **arguments}))
+    assert data.drop_last is True
+    assert data.val_dataloader().timeout == 5
+    assert type(data.hparams["loader_options"]) is dict
+
+
+def test_cli_takes_options_of_the_loader(root: str, tmp_path: Path) -> None:
+    """As flags and in a file."""
+    config = tmp_path / "config.yaml"
+    config.write_text(
+        f"data:\n  root: {root}\n  drop_last: true\n  loader_options: {{timeout: 5}}\n"
+    )
+    flags = [f"--data.root={root}", "--data.drop_last=true", "--data.loader_options={timeout: 5}"]
+    for arguments in (flags, [f"--config={config}"]):
+        cli = LightningCLI(
+            Model, MapDataModule, args=[*QUIET, *arguments], run=False, seed_everything_default=0
+        )
+        assert cli.datamodule.drop_last is True
+        assert cli.datamodule.loader_options["timeout"] == 5
+
+
+# --- pictures -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("split", ["train", "val"])
+def test_plot_draws_the_first_samples_of_a_split(root: str, split: str) -> None:
+    """Maps, starts, goals and paths where they are, whichever fields are served."""
+    axes = module(root, fields=("goal",)).plot(split=split)
+    expected = MapDataset(root, split)[:9]
+    panels = [panel for panel in figure_of(axes).axes if panel.axison]
+    assert axes is panels[0]
+    assert len(panels) == len(expected.map) == 9
+    for k, panel in enumerate(panels):
+        (image,) = panel.get_images()
+        np.testing.assert_array_equal(np.asarray(image.get_array()), expected.map[k, 0])
+        path = samples.cells_of(expected.path[k])
+        assert_lines(drawn(panel, COLOURS["astar"]), [np.array(path)])
+        letters = {text.get_text(): text.get_position()[::-1] for text in panel.texts}
+        assert letters == {"S": path[0], "G": path[-1]}
+
+
+def test_plot_draws_a_batch(root: str) -> None:
+    """The samples of the batch, in its order."""
+    data = module(root, fields=("map", "start", "goal"), batch_size=4)
+    batch = next(iter(data.train_dataloader()))
+    panels = figure_of(data.plot(batch)).axes
+    for k, panel in enumerate(panels):
+        (image,) = panel.get_images()
+        np.testing.assert_array_equal(np.asarray(image.get_array()), batch.map[k, 0])
+        starts = [text.get_position()[::-1] for text in panel.texts if text.get_text() == "S"]
+        assert starts == [tuple(batch.start[k].tolist())]
+    assert len(panels) == 4
+    with pytest.raises(ValueError, match=r"split: got 'tran'.*did you mean train\?"):
+        data.plot(split="tran")

@@ -23,6 +23,7 @@ import pytest
 import torch
 from helpers import hostile, reference, samples
 from helpers.builds import SOUND_SEED, SOUND_SPEC, publish
+from helpers.figures import assert_lines, drawn, figure_of
 from helpers.imported import imported
 from helpers.specs import MOVEMENTS
 from scipy import stats
@@ -44,7 +45,9 @@ from mapdata import (
     label,
 )
 from mapdata.datasets.arguments import FieldFunction
+from mapdata.datasets.dataset import keep_freed_memory
 from mapdata.formats import Collection, ForeignMap, import_maps
+from mapdata.plotting import COLOURS
 from mapdata.shards import MANIFEST, Manifest, read_manifest
 
 Array = npt.NDArray[Any]
@@ -1384,3 +1387,98 @@ def test_an_unfinished_dataset_says_so(roots: dict[str, str], tmp_path: Path) ->
     manifest = read_manifest(root)
     (root / MANIFEST).write_text(replace(manifest, maps=manifest.maps + 1).to_json())
     assert "not finished" in repr(MapDataset(root))
+
+
+# --- pictures -----------------------------------------------------------------------------------
+
+
+def assert_problem_is_drawn(axes: Any, problem: Sample) -> None:
+    """Compare a picture with a map, its start and goal, and its path, cell by cell."""
+    np.testing.assert_array_equal(np.asarray(axes.get_images()[0].get_array()), problem.map[0])
+    assert_lines(drawn(axes, COLOURS["astar"]), [np.asarray(problem.path)])
+    letters = {text.get_text(): text.get_position()[::-1] for text in axes.texts}
+    assert letters == {
+        "S": tuple(problem.start.tolist()),
+        "G": tuple(problem.goal.tolist()),
+    }
+
+
+@pytest.mark.parametrize("fields", [("map", "start", "goal", "path"), ("goal", "cost_to_go")])
+def test_plot_draws_map_start_goal_and_path(root: str, fields: tuple[str, ...]) -> None:
+    """Whichever fields are served; a dense field is a shade over the map."""
+    expected = MapDataset(root, "train")[5]
+    dataset = MapDataset(root, "train", fields, transform=tuple)
+    axes = dataset.plot(5)
+    assert_problem_is_drawn(axes, expected)
+    assert len(axes.get_images()) == 1 + ("cost_to_go" in fields)
+    own_axes = figure_of(dataset.plot()).add_subplot()
+    assert dataset.plot(-len(dataset) + 5, own_axes) is own_axes
+    assert_problem_is_drawn(own_axes, expected)
+
+
+def test_plot_draws_what_is_served(root: str) -> None:
+    """After filters and symmetries, and problems that are made online."""
+    view = MapDataset(root, "train", augment=True).filter(path_length=(6, 20))
+    assert_problem_is_drawn(view.plot(3), view[3])
+    online = OnlineMapDataset(samples.SPEC, 5, 20, problems="random")
+    assert_problem_is_drawn(online.plot(2), online[2])
+
+
+def test_plot_draws_several_problems_side_by_side(root: str) -> None:
+    """In the order of their numbers as they are listed, 9 at most."""
+    dataset = MapDataset(root)
+    numbers = [7, 2, -1]
+    panels = [axes for axes in figure_of(dataset.plot(numbers)).axes if axes.axison]
+    assert len(panels) == 3
+    for axes, number in zip(panels, numbers, strict=True):
+        assert_problem_is_drawn(axes, dataset[number])
+    assert sum(axes.axison for axes in figure_of(dataset.plot(range(12))).axes) == 9
+    with pytest.raises(IndexError, match=f"index {len(dataset)} is out of range"):
+        dataset.plot(len(dataset))
+
+
+# --- copies -------------------------------------------------------------------------------------
+
+
+def test_a_copy_shares_the_open_shards(root: str) -> None:
+    """So does a view: neither reads a manifest or opens a shard again."""
+    dataset = MapDataset(root, "train")
+    copied = copy.copy(dataset)
+    assert copied.reader is dataset.reader
+    assert dataset.filter(rooms=(1, 9)).reader is dataset.reader
+    samples.assert_same(copied[:], dataset[:])
+    assert pickle.loads(pickle.dumps(dataset)).reader is not dataset.reader
+
+
+class Named(MapDataset):
+    """A dataset of a user, with one more attribute."""
+
+    def __init__(self, root: str, name: str) -> None:
+        """Keep the name."""
+        super().__init__(root, "train", fields=("map",))
+        self.name = name
+
+
+def through_pickle(dataset: Named) -> Any:
+    """Return what another process gets."""
+    return pickle.loads(pickle.dumps(dataset))
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, through_pickle])
+def test_copies_of_a_users_class_keep_its_attributes(root: str, copied: Any) -> None:
+    """Views too."""
+    dataset = copied(Named(root, "mine"))
+    assert type(dataset) is Named
+    view: Any = dataset.filter(rooms=(1, 3))
+    assert (dataset.name, view.name) == ("mine", "mine")
+    samples.assert_same(dataset[:5], MapDataset(root, "train", fields=("map",))[:5])
+
+
+def test_memory_of_batches_is_kept_once_for_each_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The block that raises malloc's threshold is allocated by the first dataset alone."""
+    sizes = []
+    keep_freed_memory.cache_clear()
+    monkeypatch.setattr(np, "empty", lambda size, dtype: sizes.append((size, dtype)))
+    keep_freed_memory()
+    keep_freed_memory()
+    assert sizes == [(31 * 2**20, np.uint8)]

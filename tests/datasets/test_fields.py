@@ -80,9 +80,9 @@ def batch_of(problems: list[Problem], movement: Movement, search: str = "astar")
         starts=np.array([one.start for one in problems]),
         goals=np.array([one.goal for one in problems]),
         problems=np.arange(len(problems)),
-        find_paths=lambda: paths,
-        find_rooms=no_rooms,
-        wanted=tuple(FIELDS),
+        compute_paths=lambda: paths,
+        compute_rooms=no_rooms,
+        requested_fields=tuple(FIELDS),
     )
 
 
@@ -133,7 +133,7 @@ def test_only_what_is_asked_for_is_computed(movement: Movement) -> None:
     together = batch_of(problems, movement)
     for name in ("cost_to_go", "optimal_moves", "heuristic_ratio", "optimal_mask"):
         alone = batch_of(problems, movement)
-        alone.wanted = (name,)
+        alone.requested_fields = (name,)
         np.testing.assert_array_equal(FIELDS[name](alone), FIELDS[name](together))
         assert sum(part.size > 0 for part in alone.goal_fields) == 1
 

@@ -166,6 +166,7 @@ def test_a_worker_that_does_not_know_the_family_pads_as_its_parent(
         warnings.simplefilter("error")
         again = pickle.loads(known.pickled)
     assert isinstance(again.reader.manifests[0].spec, UnknownFamily)
+    assert again.info.recipes == (None,)
     np.testing.assert_array_equal(again[:].seed_points, known.batch.seed_points)
     np.testing.assert_array_equal(again[:].connection_matrix, known.batch.connection_matrix)
 

@@ -1,0 +1,71 @@
+"""`DatasetInfo`: where the maps of a dataset come from, their counts, and what a sample holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import torch
+
+from mapdata.datasets.sample import Sample
+from mapdata.generators.recipe import Recipe
+from mapdata.limits import Size
+from mapdata.movement import Movement
+
+
+class FieldInfo(NamedTuple):
+    """A field of one sample.
+
+    Attributes:
+        shape: without the axis of the batch; None for a length that differs between samples.
+        dtype: as the dataset serves it.
+    """
+
+    shape: tuple[int | None, ...]
+    dtype: torch.dtype
+
+
+@dataclass(frozen=True)
+class DatasetInfo:
+    """Where the maps of a dataset come from, their counts, and what a sample holds.
+
+    Attributes:
+        roots: folders and URLs of the dataset; none for maps made online.
+        recipes: generator, seed and number of maps of each root; None for imported maps, and for
+            maps of a family that is not registered.
+        identities: identity of generator and seed of each root; None for imported maps.
+        content_hashes: hash of the maps of each root; None for maps made online.
+        map_counts: number of maps by split, of the splits that are served.
+        problem_counts: number of problems by split, after filters and radius.
+        map_size: (rows, columns).
+        resolution: metres per cell; None for roots of several resolutions.
+        movement: movement of the served paths.
+        fields: shape and dtype of each served field; None for a dataset without problems.
+    """
+
+    roots: tuple[str, ...]
+    recipes: tuple[Recipe | None, ...]
+    identities: tuple[str | None, ...]
+    content_hashes: tuple[str | None, ...]
+    map_counts: dict[str, int]
+    problem_counts: dict[str, int]
+    map_size: Size
+    resolution: float | None
+    movement: Movement
+    fields: dict[str, FieldInfo] | None
+
+    def __repr__(self) -> str:
+        """Return one line for each attribute."""
+        lines = [f"    {field.name}={getattr(self, field.name)!r}," for field in fields(self)]
+        return "\n".join([f"{type(self).__name__}(", *lines, ")"])
+
+
+def field_infos(batch: Sample) -> dict[str, FieldInfo]:
+    """Return shape and dtype of the fields of a batch, by name."""
+    infos = {}
+    for name, tensor in batch._asdict().items():
+        shape: tuple[int | None, ...] = tuple(tensor.shape[1:])
+        if name == "path" and batch._capacity is None:
+            shape = (None, *shape[1:])
+        infos[name] = FieldInfo(shape, tensor.dtype)
+    return infos
