@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from mapdata.datasets import MapDataset as MapDataset
     from mapdata.datasets import OnlineMapDataset as OnlineMapDataset
     from mapdata.datasets import Sample as Sample
+    from mapdata.datasets import Waypoints as Waypoints
     from mapdata.evaluation import Plan as Plan
     from mapdata.evaluation import evaluate as evaluate
     from mapdata.generators import PRESETS as PRESETS
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from mapdata.search import label as label
     from mapdata.search import pull_taut as pull_taut
     from mapdata.search import search_batch as search_batch
+    from mapdata.search import to_metres as to_metres
     from mapdata.shards import DatasetNotFoundError as DatasetNotFoundError
     from mapdata.shards import ShardError as ShardError
     from mapdata.shards import build as build
@@ -52,7 +54,7 @@ if TYPE_CHECKING:
     from mapdata.shards import verify as verify
 
 _FACES = {
-    "datasets": ("MapDataModule", "MapDataset", "OnlineMapDataset", "Sample"),
+    "datasets": ("MapDataModule", "MapDataset", "OnlineMapDataset", "Sample", "Waypoints"),
     "evaluation": ("Plan", "evaluate"),
     "generators": (
         "PRESETS",
@@ -79,6 +81,7 @@ _FACES = {
         "label",
         "pull_taut",
         "search_batch",
+        "to_metres",
     ),
     "shards": ("DatasetNotFoundError", "ShardError", "build", "read_shard", "repair", "verify"),
     "movement": ("Movement",),

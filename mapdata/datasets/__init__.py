@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mapdata.datasets.dataset import MapDataset
-from mapdata.datasets.fields import FIELDS, Batch
+from mapdata.datasets.fields import FIELDS, Batch, Waypoints
 from mapdata.datasets.info import DatasetInfo, FieldInfo
 from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.sample import Sample, row
@@ -29,6 +29,7 @@ __all__ = [
     "MapDataset",
     "OnlineMapDataset",
     "Sample",
+    "Waypoints",
     "row",
 ]
 

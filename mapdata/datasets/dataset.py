@@ -26,7 +26,16 @@ from mapdata.datasets.arguments import (
     torch_dtype,
 )
 from mapdata.datasets.batches import BatchReader, stored_counts
-from mapdata.datasets.fields import FIELDS, Batch, Field, Paths, Rooms, room_matrices
+from mapdata.datasets.fields import (
+    FIELDS,
+    Batch,
+    Field,
+    Paths,
+    Rooms,
+    Waypoints,
+    divided_lines,
+    room_matrices,
+)
 from mapdata.datasets.info import DatasetInfo, field_infos
 from mapdata.datasets.sample import Rows, Sample, cast, row, sample_class, stack
 from mapdata.generators.generator import UnknownFamily
@@ -69,6 +78,7 @@ CONDITIONS: dict[str, Field] = {
     "reachable": lambda batch: np.diff(batch.paths.offsets) > 0,
     "all_connected": lambda batch: (batch.rooms.matrix != -1).all(axis=(1, 2)),  # -2 is padding
     "hardness": FIELDS["hardness"],
+    "bends": lambda batch: divided_lines(batch, 2)[1],
 }
 """The quantity that each condition of `MapDataset.filter` limits, (B,) for a batch."""
 
@@ -262,8 +272,9 @@ class ProblemDataset(Dataset[Sample], ABC):
         """Return fields of a batch; a function gets the fields before it."""
         tensors: list[Tensor] = []
         for field in fields:
-            if isinstance(field, str):
-                array = np.ascontiguousarray(FIELDS[field](batch))
+            if isinstance(field, (str, Waypoints)):
+                compute = FIELDS[field] if isinstance(field, str) else field
+                array = np.ascontiguousarray(compute(batch))
                 tensors.append(torch.from_numpy(array))
             else:
                 batch_so_far = sample_class(names[: len(tensors)])(*tensors)
@@ -275,7 +286,15 @@ class ProblemDataset(Dataset[Sample], ABC):
 
     @abstractmethod
     def _grids(self, maps: Ints) -> Bytes:
-        """Return maps, (B, H, W)."""
+        """Return maps, (B, H, W), inflated by the radius of the robot."""
+
+    @abstractmethod
+    def _obstacles(self, maps: Ints) -> Bytes:
+        """Return maps, (B, H, W), that are not inflated."""
+
+    @abstractmethod
+    def _radius_in_cells(self) -> float:
+        """Return the radius of the robot in cells."""
 
     @abstractmethod
     def _seed_points(self, maps: Ints) -> Ints:
@@ -374,6 +393,8 @@ class ProblemDataset(Dataset[Sample], ABC):
             compute_rooms=lambda: self._rooms(maps, grids),
             requested_fields=self._field_names,
             max_length=self.serving.max_length,
+            radius=self._radius_in_cells(),
+            compute_obstacles=(lambda: self._obstacles(maps)) if self.serving.radius else None,
         )
 
 
@@ -567,6 +588,7 @@ class MapDataset(ProblemDataset):
         reachable: bool | None = None,
         all_connected: bool | None = None,
         hardness: Band | None = None,
+        bends: Band | None = None,
     ) -> MapDataset:
         """Return a view on the stored problems that meet all conditions.
 
@@ -579,6 +601,8 @@ class MapDataset(ProblemDataset):
                 ``Route(unsolvable=True)``).
             all_connected: whether all rooms of the map are connected.
             hardness: optimal cost over heuristic.
+            bends: number of bends of the path's taut line (`mapdata.pull_taut`); up to T - 2 fit
+                into T waypoints.
 
         Raises:
             ValueError: random problems, which are not stored; no condition; a range that is not two
@@ -594,6 +618,7 @@ class MapDataset(ProblemDataset):
             "reachable": reachable,
             "all_connected": all_connected,
             "hardness": hardness,
+            "bends": bends,
         }
         conditions: dict[str, Any] = {}
         for name, condition in arguments.items():
@@ -663,6 +688,13 @@ class MapDataset(ProblemDataset):
     def _grids(self, maps: Ints) -> Bytes:
         return self.reader.grids(self.reader.locate(maps))
 
+    def _obstacles(self, maps: Ints) -> Bytes:
+        return self.reader.obstacles(self.reader.locate(maps))
+
+    def _radius_in_cells(self) -> float:
+        radius = self.serving.radius
+        return radius / self.reader.root.resolution if radius else 0.0
+
     def _stored_rooms(self, maps: Ints) -> Rooms:
         """Return the rooms of maps as their shards hold them."""
         return self.reader.rooms(self.reader.locate(maps), self.serving.search)
@@ -701,6 +733,9 @@ def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:
         seed_points = batch.rooms.seed_points
         return batch.rooms._replace(seed_points=transform(seed_points, seed_points.shape[1]))
 
+    def compute_obstacles() -> Bytes:
+        return transform_grids(batch.obstacles, codes)
+
     return replace(
         batch,
         grids=transform_grids(batch.grids, codes),
@@ -708,4 +743,5 @@ def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:
         goals=transform(batch.goals),
         compute_paths=compute_paths,
         compute_rooms=compute_rooms,
+        compute_obstacles=compute_obstacles if batch.compute_obstacles else None,
     )

@@ -143,6 +143,12 @@ class OnlineMapDataset(ProblemDataset):
     def _grids(self, maps: Ints) -> Bytes:
         return self._inflated(self._maps(maps))
 
+    def _obstacles(self, maps: Ints) -> Bytes:
+        return self._maps(maps).occupancy
+
+    def _radius_in_cells(self) -> float:
+        return self.serving.radius / self.spec.resolution
+
     def _inflated(self, maps: Maps) -> Bytes:
         """Return the grids of maps, inflated by the radius of the robot."""
         grids = maps.occupancy

@@ -13,7 +13,7 @@ from mapdata.search.api import (
 from mapdata.search.footprint import clearance, inflate
 from mapdata.search.labels import Labels, RouteLabels, label
 from mapdata.search.lattice import hardness
-from mapdata.search.taut import pull_taut
+from mapdata.search.taut import pull_taut, to_metres
 
 __all__ = [
     "STEPS",
@@ -31,4 +31,5 @@ __all__ = [
     "label",
     "pull_taut",
     "search_batch",
+    "to_metres",
 ]

@@ -176,10 +176,44 @@ def pull_taut(grid: ArrayLike, path: ArrayLike, radius: float = 0) -> Floats:
     robot = robot_of(radius)
     free_for_robot = inflate(cells, radius) if radius else cells
     check_path(free_for_robot, path, Movement(8, corner_cutting=not radius))
-    line, is_free = _taut_line(cells, np.array(path, np.int64), robot)
+    own_path = np.array(np.asarray(path), np.int64)  # contiguous and writable, for the kernel
+    line, is_free = _taut_line(cells, own_path, robot)
     if not is_free:
         raise RuntimeError(f"no free line along the path for radius {radius}: please report this")
     return line / CELL
+
+
+def to_metres(
+    points: ArrayLike,
+    rows: int,
+    resolution: float,
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Floats:
+    """Return points of a map, (row, col) in cells, as (x, y) in metres.
+
+    Args:
+        points: (..., 2), counted from the upper left corner of the map: the middle of cell (r, c)
+            is (r + 0.5, c + 0.5).
+        rows: number of rows of the map.
+        resolution: metres per cell.
+        origin: (x, y, yaw) of the lower left corner of the map, in metres and radians, as in the
+            .yaml file of a ROS map.
+
+    Returns:
+        (..., 2) float64. For yaw 0, x grows with the column, and y from the last row to the first.
+
+    >>> to_metres([[2, 0], [0.5, 0.5]], rows=2, resolution=0.1)
+    array([[0.  , 0.  ],
+           [0.05, 0.15]])
+    """
+    from_corner = np.asarray(points, np.float64)
+    right = from_corner[..., 1] * resolution
+    up = (rows - from_corner[..., 0]) * resolution
+    x, y, yaw = origin
+    # The map is rotated about its lower left corner by yaw.
+    east = right * math.cos(yaw) - up * math.sin(yaw)
+    north = right * math.sin(yaw) + up * math.cos(yaw)
+    return np.stack((x + east, y + north), axis=-1)
 
 
 # --- kernels: is a segment free? ----------------------------------------------------------------
