@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from mapdata.search import distance_field as distance_field
     from mapdata.search import inflate as inflate
     from mapdata.search import label as label
+    from mapdata.search import lines_are_free as lines_are_free
     from mapdata.search import pull_taut as pull_taut
     from mapdata.search import search_batch as search_batch
     from mapdata.search import to_metres as to_metres
@@ -79,6 +80,7 @@ _FACES = {
         "distance_field",
         "inflate",
         "label",
+        "lines_are_free",
         "pull_taut",
         "search_batch",
         "to_metres",

@@ -13,7 +13,7 @@ from mapdata.search.api import (
 from mapdata.search.footprint import clearance, inflate
 from mapdata.search.labels import Labels, RouteLabels, label
 from mapdata.search.lattice import hardness
-from mapdata.search.taut import pull_taut, to_metres
+from mapdata.search.taut import lines_are_free, pull_taut, to_metres
 
 __all__ = [
     "STEPS",
@@ -29,6 +29,7 @@ __all__ = [
     "hardness",
     "inflate",
     "label",
+    "lines_are_free",
     "pull_taut",
     "search_batch",
     "to_metres",

@@ -28,11 +28,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mapdata.arrays import Bytes, Float32s, Floats, Ints
+from mapdata.arrays import Bytes, Flags, Float32s, Floats, Ints
 from mapdata.checks import check_number
 from mapdata.jit import Int, inlined, kernel
 from mapdata.movement import Movement
-from mapdata.search.api import as_grid, check_path
+from mapdata.search.api import as_grid, check_path, values_complaint
 from mapdata.search.footprint import inflate
 
 CELL = 256
@@ -168,11 +168,7 @@ def pull_taut(grid: ArrayLike, path: ArrayLike, radius: float = 0) -> Floats:
            [2.5, 1.5]])
     """
     cells = as_grid(grid, 2)
-    if max(cells.shape) > MAX_TAUT_SIDE:
-        raise ValueError(
-            f"grid: got {cells.shape[0]} x {cells.shape[1]} cells, expected at most "
-            f"{MAX_TAUT_SIDE:,} rows and columns"
-        )
+    _check_size(cells)
     robot = robot_of(radius)
     free_for_robot = inflate(cells, radius) if radius else cells
     check_path(free_for_robot, path, Movement(8, corner_cutting=not radius))
@@ -181,6 +177,57 @@ def pull_taut(grid: ArrayLike, path: ArrayLike, radius: float = 0) -> Floats:
     if not is_free:
         raise RuntimeError(f"no free line along the path for radius {radius}: please report this")
     return line / CELL
+
+
+def _check_size(grid: Bytes) -> None:
+    """Raise ValueError for a grid (..., H, W) on which cross products would not fit int64."""
+    rows, columns = grid.shape[-2:]
+    if max(rows, columns) > MAX_TAUT_SIDE:
+        raise ValueError(
+            f"grid: got {rows} x {columns} cells, expected at most {MAX_TAUT_SIDE:,} rows and "
+            "columns"
+        )
+
+
+def lines_are_free(
+    grids: ArrayLike, lines: ArrayLike, radius: float = 0, *, corner_cutting: bool = False
+) -> Flags:
+    """Return whether lines of points collide with no obstacle, for instance those of a model.
+
+    A line is free as in `pull_taut`: no point of its segments is inside the union of the occupied
+    cells and the outside of the map, or nearer to it than ``radius``.
+
+    Args:
+        grids: (B, H, W) of 0 free and 1 occupied, or bool.
+        lines: (B, T, 2) finite points (row, col) in cells, T at least 1; they are rounded to 1/256.
+        radius: of the robot, in cells.
+        corner_cutting: whether a line may touch a point where two occupied cells meet diagonally.
+
+    Returns:
+        (B,) bool.
+
+    Raises:
+        ValueError: grids that hold other values or are too large; lines of another shape.
+
+    >>> grid = [[0, 0, 0], [0, 1, 1], [0, 0, 0]]
+    >>> lines_are_free([grid, grid], [[[0.5, 0.5], [2.5, 0.5]], [[0.5, 0.5], [2.5, 1.5]]])
+    array([ True, False])
+    """
+    cells = as_grid(grids, 3)
+    if cells.max() > 1:
+        raise ValueError(values_complaint(cells))
+    points = np.asarray(lines, np.float64)
+    is_batch = points.ndim == 3 and points.shape[1] > 0 and points.shape[2] == 2
+    if not is_batch or len(points) != len(cells):
+        raise ValueError(
+            f"lines: got shape {points.shape} for {len(cells)} grids, expected ({len(cells)}, T, 2)"
+        )
+    if not np.isfinite(points).all():
+        raise ValueError("lines: got a number that is not finite")
+    _check_size(cells)
+    # A point outside the map stays outside where it is moved closer to it.
+    rounded = np.rint(np.clip(points, -1, MAX_TAUT_SIDE + 1) * CELL).astype(np.int64)
+    return _lines_are_free(cells, rounded, robot_of(radius).squared_radius, corner_cutting)
 
 
 def to_metres(
@@ -968,6 +1015,18 @@ def _are_free(
         if squared_radius and not has_room(grid, row0, column0, row1, column1, squared_radius):
             return False
     return True
+
+
+@kernel
+def _lines_are_free(grids: Bytes, lines: Ints, squared_radius: Int, corner_cutting: Int) -> Flags:
+    """Return for each line (T, 2) of (B, T, 2) whether it is free on its grid."""
+    count = lines.shape[1]
+    is_free = np.empty(len(lines), np.bool_)
+    for b in range(len(lines)):
+        # A line of one point is a segment without length.
+        line = lines[b] if count > 1 else np.concatenate((lines[b], lines[b]))
+        is_free[b] = _are_free(grids[b], line, 0, len(line) - 1, squared_radius, corner_cutting)
+    return is_free
 
 
 @kernel

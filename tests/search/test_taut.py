@@ -14,7 +14,16 @@ import pytest
 from helpers import taut_reference
 from helpers.grids import random_grids, serpentine
 
-from mapdata import Movement, astar, bfs, generate, inflate, pull_taut
+from mapdata import (
+    Movement,
+    astar,
+    bfs,
+    generate,
+    inflate,
+    lines_are_free,
+    pull_taut,
+    to_metres,
+)
 from mapdata.generators import Cave, Forest, MapGenerator, Maze
 from mapdata.search.taut import (
     CELL,
@@ -410,6 +419,56 @@ def test_problems_without_a_path_have_no_waypoints() -> None:
     waypoints, statuses = serve(problems, 4)
     assert statuses.tolist() == [NO_PATH, 0]
     assert waypoints.tolist() == [[[-1, -1]] * 4, [[1.5, 2.5]] * 4]
+
+
+@pytest.mark.parametrize("radius", [0, 0.4])
+def test_lines_of_models_are_free_if_all_their_segments_are(radius: float) -> None:
+    """By the exact oracle, for points anywhere, also outside the map, and for single points."""
+    source = np.random.default_rng(6)
+    grids = (source.random((60, 6, 6)) < 0.04).astype(np.uint8)
+    for count in (1, 3):
+        lines = source.integers(0, 23, size=(60, count, 2)) / 4
+        expected = []
+        for grid, line in zip(grids, lines, strict=True):
+            points = in_fractions(line)
+            segments_of_line = [*pairwise(points)] or [(points[0], points[0])]
+            expected.append(
+                all(
+                    taut_reference.is_free_segment(grid, before, after, False)
+                    and taut_reference.squared_distance(grid, before, after) >= radius**2
+                    for before, after in segments_of_line
+                )
+            )
+        assert lines_are_free(grids, lines, radius).tolist() == expected
+        assert 0 < sum(expected) < 60
+    touching = np.array([[0, 1], [1, 0]], np.uint8)
+    between = [[[0.5, 0.5], [1.5, 1.5]]]
+    assert lines_are_free([touching], between).tolist() == [False]
+    assert lines_are_free([touching], between, corner_cutting=True).tolist() == [True]
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        (np.zeros((2, 3, 2)), r"lines: got shape \(2, 3, 2\) for 1 grids, expected \(1, T, 2\)"),
+        (np.zeros((1, 3)), r"lines: got shape \(1, 3\)"),
+        (np.zeros((1, 0, 2)), r"lines: got shape \(1, 0, 2\)"),
+        (np.full((1, 3, 2), np.nan), "lines: got a number that is not finite"),
+    ],
+)
+def test_lines_of_another_shape_are_refused(lines: Line, message: str) -> None:
+    """Or with numbers that are no positions."""
+    with pytest.raises(ValueError, match=message):
+        lines_are_free(np.zeros((1, 3, 4), np.uint8), lines)
+
+
+def test_points_in_metres_are_those_of_the_cells() -> None:
+    """The origin is the lower left corner, about which the map is turned."""
+    points = [[[3.0, 0.0], [0.0, 4.0]]]
+    np.testing.assert_allclose(to_metres(points, 3, 0.5), [[[0, 0], [2, 1.5]]])
+    np.testing.assert_allclose(
+        to_metres(points, 3, 0.5, (10, 20, math.pi / 2)), [[[10, 20], [8.5, 22]]]
+    )
 
 
 def test_pulling_refuses_what_it_cannot_serve() -> None:
