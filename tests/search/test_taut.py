@@ -372,6 +372,23 @@ def test_waypoints_are_free_and_multiples_of_a_256th(problems: list[Problem]) ->
             assert taut_reference.is_free_segment(grid, start, end, movement.corner_cutting)
 
 
+def test_points_beside_corners_that_a_line_touches_are_not_rounded_into_obstacles() -> None:
+    """A line from (0.5, 0.5) to (2.5, 6.5) touches corners at (1, 2) and (2, 5)."""
+    grid = np.zeros((3, 7), np.uint8)
+    grid[1, 1] = grid[2, 4] = 1
+    path = np.array([(0, 0), (0, 1), (0, 2), (1, 3), (1, 4), (1, 5), (2, 6)])
+    np.testing.assert_array_equal(pull_taut(grid, path), [[0.5, 0.5], [2.5, 6.5]])
+    collisions = 0
+    for count in range(3, 60):
+        points = serve([Problem(grid, path, Movement(8))], count)[0].astype(float)
+        assert lines_are_free([grid], points).all()
+        share = np.linspace(0, 1, count)[:, None]
+        rounded = np.rint((0.5 + share * [2, 6]) * CELL) / CELL
+        collisions += not lines_are_free([grid], [rounded])[0]
+        assert np.abs(points[0] - rounded).max() <= 6 / 128
+    assert collisions > 10
+
+
 def test_waypoints_divide_the_line_evenly(problems: list[Problem]) -> None:
     """A point less on any segment would make its gaps at least as wide as the widest one.
 
