@@ -28,11 +28,11 @@ DIFFERENT = 1000
 
 def label_rows(count: int, rounds: int) -> list[Row]:
     """Return the rows of all labels, and of each stage, beside the naive implementation."""
-    spec = MapSpec.preset("paper")
+    generator = MapSpec.preset("paper")
     # Both sides do the same maps; ours so often that a batch is as large as the one of different
     # maps below.
     indices = [*range(count)] * math.ceil(DIFFERENT / count)
-    maps = generate(spec, 0, range(count))
+    maps = generate(generator, 0, range(count))
     bad = {i: found for i in range(count) if (found := naive.differences(label(maps), i))}
     if bad:
         raise SystemExit(f"mapdata and naive.py differ on maps {bad}: nothing was measured")
@@ -44,15 +44,15 @@ def label_rows(count: int, rounds: int) -> list[Row]:
     segments, pairs = (problems_of(maps, every_pair=every) for every in (False, True))
     times = interleaved(
         {
-            "all": lambda: label(generate(spec, 0, indices)),
+            "all": lambda: label(generate(generator, 0, indices)),
             "naive all": lambda: [
                 naive.label(naive.carve(drawings[i]), work[i][1]) for i in range(count)
             ],
             "careful all": lambda: [
                 naive.careful_label(naive.carve(drawings[i]), work[i][1]) for i in range(count)
             ],
-            "different": lambda: label(generate(spec, 0, range(DIFFERENT))),
-            "draw": lambda: generate(spec, 0, indices),
+            "different": lambda: label(generate(generator, 0, range(DIFFERENT))),
+            "draw": lambda: generate(generator, 0, indices),
             "naive draw": lambda: [naive.carve(drawing) for drawing in drawings],
             "bfs": lambda: mapdata.search_batch(
                 "bfs", segments.grids, segments.starts, segments.goals
@@ -158,10 +158,10 @@ def movement_rows(rounds: int) -> list[Row]:
     works = {}
     counts = {}
     limits = {}
-    for case, (spec, count, limit_4, limit_8) in cases.items():
+    for case, (generator, count, limit_4, limit_8) in cases.items():
         for movement, limit in ((Movement(4), limit_4), (Movement(8), limit_8)):
             name = f"{case}, {movement.connectivity}-connected"
-            works[name] = partial(_draw_and_label, replace(spec, movement=movement), count)
+            works[name] = partial(_draw_and_label, replace(generator, movement=movement), count)
             counts[name] = count
             limits[name] = limit
     times = interleaved(works, rounds)
@@ -186,8 +186,8 @@ def growth_rows(work: float, rounds: int) -> list[Row]:
         for rooms in ROOMS:
             count = max(4, round(work / (size * size * rooms)))
             counts[size, rooms] = count
-            spec = table_1(size, (rooms, rooms))
-            works[f"{size} {rooms}"] = partial(_draw_and_label, spec, count)
+            generator = table_1(size, (rooms, rooms))
+            works[f"{size} {rooms}"] = partial(_draw_and_label, generator, count)
     times = interleaved(works, rounds)
     rows = []
     cost = {}
@@ -220,8 +220,8 @@ def growth_rows(work: float, rounds: int) -> list[Row]:
     ]
 
 
-def _draw_and_label(spec: MapSpec, count: int) -> object:
-    return label(generate(spec, 0, range(count)))
+def _draw_and_label(generator: MapSpec, count: int) -> object:
+    return label(generate(generator, 0, range(count)))
 
 
 def table(quick: bool, parent: str | None = None) -> str:

@@ -426,8 +426,8 @@ def field_rows(folder: Path, rounds: int) -> list[Row]:
     ):
         root = folder / preset
         # Built under the movement that is served, so that default fields are read, not searched.
-        spec = replace(MapSpec.preset(preset), movement=movement)
-        build(root, spec, maps=4_000, shard_size=4_000)
+        generator = replace(MapSpec.preset(preset), movement=movement)
+        build(root, generator, maps=4_000, shard_size=4_000)
         kind = f"{preset}, {movement.connectivity}-connected"
         serve = partial(MapDataset, root, "train")
         datasets = {
@@ -470,8 +470,8 @@ def band_rows(folder: Path, rounds: int) -> list[Row]:
         ("dungeon", Movement(8)),
     ):
         root = folder / f"{preset}{movement.connectivity}"
-        spec = replace(MapSpec.preset(preset), movement=movement)
-        build(root, spec, maps=4_000, shard_size=4_000)
+        generator = replace(MapSpec.preset(preset), movement=movement)
+        build(root, generator, maps=4_000, shard_size=4_000)
         runs = {}
         for name, problems in {"any": Random(), **bands}.items():
             dataset = MapDataset(root, "train", problems=problems)

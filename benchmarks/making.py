@@ -24,9 +24,9 @@ PEER = Peer(
 )
 
 
-def maps(spec: MapSpec, count: int) -> Labels:
+def maps(generator: MapSpec, count: int) -> Labels:
     """Make ``count`` maps of a spec with all labels."""
-    return label(generate(spec, 0, range(count)))
+    return label(generate(generator, 0, range(count)))
 
 
 def mazes(count: int) -> int:

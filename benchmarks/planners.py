@@ -9,25 +9,29 @@ from pathlib import Path
 from benchmarks.measure import machine, versions
 
 ROOT = Path(__file__).parent.parent
-SCRIPT = "scripts/evaluate_planners.py"
+COMMAND = ("-m", "mapdata.models.evaluate", "planners")
 PACKAGES = ("mapdata-torch", "numpy", "numba", "torch")
 
 
 def table(quick: bool, parent: str | None = None) -> str:
-    """Run the script that compares planners, and return what it printed; nothing is written.
+    """Run the command that compares planners, and return what it printed; nothing is written.
 
     Raises:
-        SystemExit: the script failed; with what it said.
+        SystemExit: the command failed; with what it said.
     """
     arguments = ["--preset", "dungeon", "--seed", "77", "--maps", "50" if quick else "600"]
     process = subprocess.run(
-        [sys.executable, SCRIPT, *arguments], cwd=ROOT, capture_output=True, text=True, check=False
+        [sys.executable, *COMMAND, *arguments],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     if process.returncode:
-        raise SystemExit(f"{SCRIPT} failed:\n{process.stderr}")
+        raise SystemExit(f"{COMMAND[1]} failed:\n{process.stderr}")
     head = [
         f"- {fact}"
-        for fact in (versions(PACKAGES), machine(), f"`python {' '.join((SCRIPT, *arguments))}`")
+        for fact in (versions(PACKAGES), machine(), f"`python {' '.join((*COMMAND, *arguments))}`")
     ]
     return (
         "\n".join(["## Planners", "", *head, "", "```text", process.stdout.rstrip(), "```"]) + "\n"

@@ -27,7 +27,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))  # models
+sys.path.insert(0, str(ROOT))  # mapdata, scripts
 
 from mapdata import (  # noqa: E402
     Labels,
@@ -68,7 +68,6 @@ from mapdata.problems import ProblemSet  # noqa: E402
 from mapdata.shards import Root  # noqa: E402
 
 IMAGES = ROOT / "docs" / "images"
-WEIGHTS = ROOT / "models" / "weights"
 LARGEST = 150_000
 """Bytes of a picture."""
 
@@ -129,7 +128,7 @@ def overview() -> Figure:
     chosen: list[tuple[MapGenerator, int]] = [(MapSpec(), 7), (narrow, 4), (DUNGEON, 3)]
     chosen += [(DUNGEON, 9), (Maze((64, 64)), 1), (wide_maze, 3)]
     chosen += [(MapGenerator.preset(name), 1) for name in ("cave", "forest", "noise")]
-    grids = [generate(spec, 0, [index]).occupancy[0] for spec, index in chosen]
+    grids = [generate(generator, 0, [index]).occupancy[0] for generator, index in chosen]
     plot_grid(mosaic(grids, 3), axes[0])
     bare(axes[0], "grid maps from a few lines of JSON")
 
@@ -167,9 +166,9 @@ def cost_to_go(axes: Axes, sample: Any) -> None:
 
 def prediction(axes: Axes, sample: Any) -> None:
     """Draw the path that the shipped network predicts over a shortest one."""
-    from models.path_predictor import PathPredictor
+    from mapdata.models.path_predictor import PathPredictor
 
-    model = PathPredictor.load(WEIGHTS / "path_predictor.pt")
+    model = PathPredictor.pretrained()
     grid, start, goal = (np.asarray(sample[k]).astype(np.int64) for k in range(3))
     truth = astar(grid[0], start, goal, DIAGONAL).path
     with model.inference():
@@ -273,17 +272,17 @@ def speed() -> Figure:
 def families() -> Figure:
     """Show two maps of each preset."""
     figure, axes = new_figure(2, len(PRESETS) // 2, (11, 11.4))
-    for ax, (name, spec) in zip(axes, PRESETS.items(), strict=True):
-        plot_grid(mosaic(list(generate(spec, 0, range(2)).occupancy), 1), ax)
-        bare(ax, f"{name}, {spec.map_size[0]} x {spec.map_size[1]}")
+    for ax, (name, generator) in zip(axes, PRESETS.items(), strict=True):
+        plot_grid(mosaic(list(generate(generator, 0, range(2)).occupancy), 1), ax)
+        bare(ax, f"{name}, {generator.map_size[0]} x {generator.map_size[1]}")
     return figure
 
 
 def presets() -> Figure:
     """Show one map of each preset in a row."""
     figure, axes = new_figure(1, len(PRESETS), (13, 1.9))
-    for ax, (name, spec) in zip(axes, PRESETS.items(), strict=True):
-        plot_grid(generate(spec, 0, [1]).occupancy[0], ax)
+    for ax, (name, generator) in zip(axes, PRESETS.items(), strict=True):
+        plot_grid(generate(generator, 0, [1]).occupancy[0], ax)
         bare(ax, name)
     return figure
 
@@ -383,10 +382,10 @@ def answers(family: str) -> tuple[tuple[Any, Plan], tuple[Any, Plan]]:
 
     Where all of 200 are, the one with most expansions is the second.
     """
-    from models.learned_planners import GuidedSearch
-    from models.path_predictor import PathPredictor
+    from mapdata.models.learned_planners import GuidedSearch
+    from mapdata.models.path_predictor import PathPredictor
 
-    search = GuidedSearch("search", PathPredictor.load(WEIGHTS / "path_predictor.pt"))
+    search = GuidedSearch("search", PathPredictor.pretrained())
     dataset = OnlineMapDataset(
         MapGenerator.preset(family),
         77,
@@ -429,10 +428,10 @@ def predictions() -> Figure:
 @cache
 def planner_table() -> pd.DataFrame:
     """Compare planners on the first 500 hard problems of seed 77."""
-    from models.learned_planners import planners as learned
-    from models.path_predictor import PathPredictor
+    from mapdata.models.learned_planners import planners as learned
+    from mapdata.models.path_predictor import PathPredictor
 
-    model = PathPredictor.load(WEIGHTS / "path_predictor.pt")
+    model = PathPredictor.pretrained()
     problems = ProblemSet.sample(DUNGEON, seed=77, until_hard=500, movement=DIAGONAL)
     return evaluate([*classical(DIAGONAL), *learned(model)], problems)
 
@@ -465,8 +464,9 @@ SAMPLERS = {
 @cache
 def sampler_table() -> pd.DataFrame:
     """Compare samplers of roadmaps on the problems of 300 maps of seed 77."""
-    from models.lego.comparison import compare, contenders
-    from scripts.evaluate_sampler import learned_samplers
+    from mapdata.models.evaluate import learned_samplers
+    from mapdata.models.lego.comparison import compare, contenders
+    from mapdata.models.model import WEIGHTS
 
     rows = contenders(learned_samplers(WEIGHTS))
     problems = ProblemSet.sample(DUNGEON, seed=77, maps=300, movement=DIAGONAL)
@@ -498,11 +498,11 @@ def samplers() -> Figure:
 
 def roadmaps() -> Figure:
     """Show the roadmaps of two samplers on one problem, the first hard one."""
-    from models.lego.comparison import contenders
-    from models.lego.roadmap import roadmap_between
-    from models.lego.sampler import Heatmap
+    from mapdata.models.lego.comparison import contenders
+    from mapdata.models.lego.roadmap import roadmap_between
+    from mapdata.models.lego.sampler import Heatmap
 
-    rows = contenders({"lego_heatmap": Heatmap.load(WEIGHTS / "lego_heatmap.pt")})
+    rows = contenders({"lego_heatmap": Heatmap.pretrained()})
     problems = ProblemSet.sample(DUNGEON, seed=77, maps=12, movement=DIAGONAL)
     k = int(problems.hard.argmax())
     grid = problems.grids[k]

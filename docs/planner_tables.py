@@ -22,14 +22,13 @@ from torch import Tensor
 
 from mapdata import MapDataModule, MapGenerator, MapSpec, Maze, Movement, ProblemSet, evaluate
 from mapdata.evaluation import classical, with_interval
-from models.geometry import heuristic, offsets
-from models.learned_planners import GuidedSearch, planners
-from models.model import fast_precision
-from models.path_predictor import TRAINING_FIELDS, PathPredictor
-from models.training import MixedBatches
+from mapdata.models.geometry import heuristic, offsets
+from mapdata.models.learned_planners import GuidedSearch, planners
+from mapdata.models.mixed_batches import MixedBatches
+from mapdata.models.model import fast_precision
+from mapdata.models.path_predictor import TRAINING_FIELDS, PathPredictor
 
 DOCS = Path(__file__).parent
-WEIGHTS = DOCS.parent / "models" / "weights"
 SEED = 77
 
 WIDE_ROOMS = MapSpec(
@@ -50,11 +49,11 @@ GENERATORS: dict[str, tuple[MapGenerator, int]] = {
 """The generators by name, each with the number of hard problems that are compared."""
 
 RULES = {
-    "": (Movement(8), "path_predictor.pt"),
-    "-cut": (Movement(8, corner_cutting=True), "path_predictor_cut.pt"),
-    "-4": (Movement(4), "path_predictor_4.pt"),
+    "": (Movement(8), "eight"),
+    "-cut": (Movement(8, corner_cutting=True), "cut"),
+    "-4": (Movement(4), "four"),
 }
-"""The rules of movement, by what the names of sets have of them, and their weights."""
+"""The rules of movement, by what the names of sets have of them, and the names of their weights."""
 
 FAMILIES = ("dungeon", "maze", "cave", "forest", "noise")
 """Of the table of transfer."""
@@ -169,7 +168,7 @@ def page_of_sets() -> str:
     followed = [["set", *FOLLOWED]]
     sections = []
     for ending, (movement, weights) in RULES.items():
-        model = PathPredictor.load(WEIGHTS / weights)
+        model = PathPredictor.pretrained(weights)
         for generator in GENERATORS:
             problems = problems_of(generator, movement)
             table = evaluate([*classical(movement), *planners(model)], hard_of(problems))

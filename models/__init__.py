@@ -1,17 +1,78 @@
-"""Sample models to read and to copy.
+"""Sample models to use, to read and to copy, imported as ``mapdata.models``.
 
 - ``path_predictor.py``: a CNN that predicts the moves of shortest paths.
 - ``neural_astar.py``: Neural A* in one file.
 - ``learned_planners.py``: planners that search with the predictions of a network.
 - ``lego/``: a sampler that learns where a roadmap needs its vertices.
 
-They share five files:
+They share six files:
 
 - ``layers.py``: the layers of the networks.
 - ``geometry.py``: distances, heuristics and legal moves on tensors of maps.
 - ``symmetries.py``: the eight symmetries of a square map.
 - ``optimizer.py``: Muon, and the schedule of its learning rate.
 - ``model.py``: the training step, and saving and loading weights.
+- ``mixed_batches.py``: batches of several families in one training step.
 
-``training.py`` is the command line of the training scripts.
+``train.py`` and ``evaluate.py`` are the command lines; ``configs/`` has the arguments of the
+trainings, ``weights/`` what they gave.
+
+In a checkout this folder lies beside ``mapdata/``, whose entry ``models`` is a link to it. So it
+has the name ``mapdata.models`` everywhere. The names below are imported on first use.
 """
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if __name__ != "mapdata.models":
+    # With the checkout on the path the folder could be imported once more as "models". Its classes
+    # would then exist twice, and the ones would not be instances of the others.
+    raise ImportError(f"{__name__}: this folder is imported as mapdata.models, and as nothing else")
+
+if TYPE_CHECKING:
+    from .learned_planners import GuidedSearch as GuidedSearch
+    from .learned_planners import LearnedPlanner as LearnedPlanner
+    from .learned_planners import planners as planners
+    from .lego.cvae import CVAE as CVAE
+    from .lego.sampler import Heatmap as Heatmap
+    from .lego.sampler import Sampler as Sampler
+    from .mixed_batches import MixedBatches as MixedBatches
+    from .model import Model as Model
+    from .model import fast_precision as fast_precision
+    from .model import load_model as load_model
+    from .neural_astar import NeuralAstar as NeuralAstar
+    from .path_predictor import PathPredictor as PathPredictor
+
+_MODULES = {
+    "CVAE": "lego.cvae",
+    "GuidedSearch": "learned_planners",
+    "Heatmap": "lego.sampler",
+    "LearnedPlanner": "learned_planners",
+    "MixedBatches": "mixed_batches",
+    "Model": "model",
+    "NeuralAstar": "neural_astar",
+    "PathPredictor": "path_predictor",
+    "Sampler": "lego.sampler",
+    "fast_precision": "model",
+    "load_model": "model",
+    "planners": "learned_planners",
+}
+"""The module that each public name is imported from."""
+
+__all__ = [*_MODULES]  # noqa: PLE0604  (a list of names)
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name on first use."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    member = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    globals()[name] = member
+    return member
+
+
+def __dir__() -> list[str]:
+    """List the public names."""
+    return sorted(__all__)

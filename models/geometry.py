@@ -6,7 +6,6 @@ import numpy as np
 import torch
 import torch.nn.functional as F  # noqa: N812  (its usual name)
 from numpy.typing import ArrayLike
-from scipy.ndimage import map_coordinates
 from torch import Tensor
 
 from mapdata import Movement
@@ -113,11 +112,15 @@ def _checked_ends(name: str, ends: ArrayLike, grids: Bytes) -> Ints:
     if cells.dtype.kind not in "iu":
         raise ValueError(f"{name}: got {ends!r}, expected whole numbers")
     cells = cells.astype(np.int64)
-    # Interpolation of order 0 is the value of the cell itself; all is occupied outside the map.
-    coordinates = [np.arange(len(grids)), cells[:, 0], cells[:, 1]]
-    is_occupied = map_coordinates(grids, coordinates, order=0, cval=1)  # (B,)
-    if is_occupied.any():
-        wrong = cells[is_occupied.argmax()].tolist()
+    if cells.shape != (len(grids), 2):
+        raise ValueError(f"{name}: got shape {cells.shape}, expected {(len(grids), 2)}")
+    row, column = cells.T  # (B,) both
+    rows, columns = grids.shape[1:]
+    is_inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)  # (B,)
+    inside_cells = np.where(is_inside, (row, column), 0)  # (2, B), where the map can be looked up
+    is_free = is_inside & (grids[(np.arange(len(grids)), *inside_cells)] == 0)  # (B,)
+    if not is_free.all():
+        wrong = cells[is_free.argmin()].tolist()
         raise ValueError(
             f"{name}: got {wrong}, outside its map or on an occupied cell, expected a free cell of "
             f"a map of {grids.shape[1:]}"

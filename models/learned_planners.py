@@ -15,8 +15,12 @@ from mapdata.arrays import Bytes, Float32s, Int8s, Ints
 from mapdata.evaluation import Batched, BatchPlanner, Plan, Planner
 from mapdata.jit import Int, kernel
 from mapdata.search import STEPS, search_batch
-from models.geometry import check_problems
-from models.model import Model
+
+from .geometry import check_problems
+from .model import Model
+
+MIN_COST = 10.0
+"""Least cost of a validation problem that counts, in cells, as in `ProblemSet.sample`."""
 
 
 class LearnedPlanner(Batched, Model):
@@ -26,22 +30,29 @@ class LearnedPlanner(Batched, Model):
 
     def on_validation_epoch_start(self) -> None:
         """Forget the scores of the epoch before."""
-        # A row of the table of `evaluate` for each validation batch.
+        # A row of the table of `evaluate` for each validation batch: that of its hard problems.
         self.batch_scores: list[pd.Series] = []
 
     def score(self, planner: Planner, batch: Sample) -> None:
-        """Plan the problems of a batch; `on_validation_epoch_end` logs how well that went."""
+        """Plan the hard problems of a batch; `on_validation_epoch_end` logs how well that went.
+
+        They are those that count in the tables: hard, and with a path of at least ``MIN_COST``.
+        """
         grids = batch.map[:, 0].byte().cpu().numpy()
         starts = batch.start.cpu().numpy()
         goals = batch.goal.cpu().numpy()
-        # Ratios of costs need a path of more than one cell: -1 is no path, 0 is start = goal.
-        has_path = search_batch("astar", grids, starts, goals, self.movement).cost > 0
-        if has_path.any():
-            problems = ProblemSet(grids[has_path], starts[has_path], goals[has_path], self.movement)
+        costs = search_batch("astar", grids, starts, goals, self.movement).cost  # -1 without a path
+        is_long = costs >= MIN_COST
+        is_hard = np.zeros(len(costs), bool)
+        if is_long.any():
+            long = ProblemSet(grids[is_long], starts[is_long], goals[is_long], self.movement)
+            is_hard[is_long] = long.hard
+        if is_hard.any():
+            problems = ProblemSet(grids[is_hard], starts[is_hard], goals[is_hard], self.movement)
             self.batch_scores.append(evaluate([planner], problems, bootstrap=1).iloc[0])
 
     def on_validation_epoch_end(self) -> None:
-        """Log Opt and Hmean of the planner on all validation problems, for the progress bar."""
+        """Log Opt and Hmean of the planner on the hard problems, for the progress bar."""
         if self.batch_scores:
             rows = pd.DataFrame(self.batch_scores)
             opt, exp = np.average(rows[["opt", "p_exp"]], axis=0, weights=rows["n"])
@@ -50,7 +61,7 @@ class LearnedPlanner(Batched, Model):
 
 
 class Predictor(Protocol):
-    """A model that predicts moves and costs to go, as `models.path_predictor.PathPredictor`."""
+    """A model that predicts moves and costs to go, as `mapdata.models.PathPredictor` does."""
 
     movement: Movement
 

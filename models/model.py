@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
+import time
 import zipfile
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 import pytorch_lightning as pl
 import torch
+from lightning_fabric.utilities.exceptions import MisconfigurationException
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
+from mapdata.checks import check_choice
 from mapdata.shards import write_output
-from models.optimizer import Muon, one_cycle
+
+from .optimizer import Muon, one_cycle
 
 Tensors = dict[str, Tensor]
 """Tensors by name: the fields of a batch, or a loss and its parts."""
@@ -30,6 +35,7 @@ MAX_ARGUMENT = 1024
 """Largest number among the arguments of a saved model, such as the width or number of layers."""
 
 M = TypeVar("M", bound=nn.Module)
+P = TypeVar("P", bound="Model")
 
 
 def fast_precision() -> Literal["bf16-mixed", "32-true"]:
@@ -57,6 +63,9 @@ class Model(pl.LightningModule, ABC):
     # Muon, since AdamW needs more steps here; `Muon` has the figures.
     optimizer_class: Callable[..., torch.optim.Optimizer] = Muon
 
+    PRETRAINED: ClassVar[Mapping[str, str]] = {}
+    """The weights that ship: their files in `WEIGHTS`, by name; the first is the default."""
+
     @abstractmethod
     def losses(self, batch: Any) -> Tensors:
         """Return ``loss`` and its parts, by the names under which `training_step` logs them."""
@@ -66,6 +75,49 @@ class Model(pl.LightningModule, ABC):
         losses = self.losses(batch)
         self.log_dict({f"train_{name}": loss for name, loss in losses.items()}, prog_bar=True)
         return losses["loss"]
+
+    # The number of the first step of this process, and the time at its end.
+    _first_step: tuple[int, float] | None = None
+
+    def on_train_start(self) -> None:
+        """Compare the schedule with the training, and log at least once an epoch.
+
+        Raises:
+            MisconfigurationException: the training was resumed from a checkpoint whose schedule
+                has fewer steps.
+        """
+        trainer: Any = self.trainer  # whose type does not have log_every_n_steps
+        steps = trainer.estimated_stepping_batches
+        for config in trainer.lr_scheduler_configs:
+            # A checkpoint brings its own schedule, in place of that of `configure_optimizers`.
+            schedule_steps = getattr(config.scheduler, "total_steps", math.inf)
+            if schedule_steps < steps:
+                raise MisconfigurationException(
+                    f"the learning rate of the checkpoint ends at step {schedule_steps}, but this "
+                    f"training has {steps:.0f} steps: resume it with the max_epochs and max_steps "
+                    "that it had (--weights FILE then writes its weights), or begin a new training "
+                    "from its weights: --start_from FILE in place of --ckpt_path"
+                )
+        # Loggers get the loss of every n-th step. A shorter epoch would leave them without any.
+        epoch_steps = trainer.num_training_batches // trainer.accumulate_grad_batches
+        if 0 < epoch_steps < trainer.log_every_n_steps:
+            trainer.log_every_n_steps = int(epoch_steps)
+        self._first_step = None
+
+    def on_train_batch_end(self, outputs: Any, batch: Any, batch_idx: int) -> None:
+        """Log ``minutes_left`` of the whole training for the progress bar, which counts an epoch.
+
+        It is measured from the end of the first step, before which kernels may be compiled.
+        """
+        now = time.monotonic()
+        step = self.trainer.global_step
+        if self._first_step is None:
+            self._first_step = (step, now)
+        first_step, began = self._first_step
+        steps_left = self.trainer.estimated_stepping_batches - step
+        if step > first_step and math.isfinite(steps_left):
+            minutes = (now - began) / (step - first_step) * steps_left / 60
+            self.log("minutes_left", round(minutes, 1), prog_bar=True, logger=False)
 
     def configure_optimizers(self) -> Any:
         """Return an ``optimizer_class`` and torch's OneCycleLR."""
@@ -115,6 +167,23 @@ class Model(pl.LightningModule, ABC):
         buffer = io.BytesIO()
         torch.save(checkpoint, buffer)
         write_output(file, buffer.getvalue())
+
+    @classmethod
+    def pretrained(cls: type[P], name: str | None = None) -> P:
+        """Return the model with weights that ship with mapdata, in evaluation mode.
+
+        Args:
+            name: one of ``PRETRAINED``; None takes the first.
+
+        Raises:
+            ValueError: no weights of this class have the name.
+        """
+        if not cls.PRETRAINED:
+            raise ValueError(f"{cls.__name__}: no weights of it ship: train it, and use load")
+        if name is None:
+            name = next(iter(cls.PRETRAINED))
+        check_choice(f"{cls.__name__}.pretrained", name, cls.PRETRAINED)
+        return load_model(WEIGHTS / cls.PRETRAINED[name], cls)
 
     @classmethod
     def load(cls: type[M], file: str | PathLike[str]) -> M:

@@ -6,7 +6,7 @@ guidance cost in (0, 1). A* with these costs should expand the cells of the path
 
     import pytorch_lightning as pl
     from mapdata import MapDataModule
-    from models.neural_astar import TRAINING_FIELDS, NeuralAstar
+    from mapdata.models.neural_astar import TRAINING_FIELDS, NeuralAstar
 
     model = NeuralAstar()
     data = MapDataModule(
@@ -38,9 +38,10 @@ from mapdata import Movement, Sample
 from mapdata.arrays import Bytes, Ints
 from mapdata.evaluation import Plan
 from mapdata.search import STEPS
-from models.geometry import cell_numbers, check_problems, heuristic, legal_moves, offsets
-from models.learned_planners import LearnedPlanner
-from models.model import Tensors
+
+from .geometry import cell_numbers, check_problems, heuristic, legal_moves, offsets
+from .learned_planners import LearnedPlanner
+from .model import Tensors
 
 TRAINING_FIELDS = ("map", "start", "goal", "optimal_moves")
 """The fields of a training batch."""

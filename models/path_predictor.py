@@ -6,7 +6,7 @@ gives a path:
 
     import pytorch_lightning as pl
     from mapdata import MapDataModule
-    from models.path_predictor import PathPredictor
+    from mapdata.models import PathPredictor
 
     data = MapDataModule("data/maps", build="paper", batch_size=64)  # map, start, goal, path
     model = PathPredictor(connectivity=4)
@@ -24,11 +24,11 @@ which teaches more:
 
 The weights that ship were trained in this way, by
 
-    OMP_NUM_THREADS=1 python scripts/train_path_predictor.py fit --weights FILE
+    OMP_NUM_THREADS=1 python -m mapdata.models.train path_predictor fit --weights FILE
 
 in 7,000 steps of 39 maps of all families and 4 larger ones, which take 50 minutes of one core. Then
-came 1,000 steps with the additions of scripts/refine_path_predictor.yaml, 10 minutes more. The
-files path_predictor_cut.pt and path_predictor_4.pt are for other movements (docs/planners.md).
+came 1,000 steps with the additions of configs/refine_path_predictor.yaml, 10 minutes more.
+`PathPredictor.pretrained` loads them, and those for other movements (docs/planners.md).
 
 `torch.export.export(model, (map, goal))` and the export to ONNX take the network as it is.
 
@@ -42,6 +42,8 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -51,10 +53,11 @@ from torch import Tensor, nn
 from mapdata import Movement, Sample
 from mapdata.arrays import Bytes, Float32s, Ints
 from mapdata.search import STEPS
-from models.geometry import heuristic, legal_moves, offsets
-from models.layers import Trunk, padded
-from models.learned_planners import GuidedSearch, LearnedPlanner
-from models.model import Tensors
+
+from .geometry import heuristic, legal_moves, offsets
+from .layers import Trunk, padded
+from .learned_planners import GuidedSearch, LearnedPlanner
+from .model import Tensors
 
 TRAINING_FIELDS = ("map", "start", "goal", "optimal_moves", "heuristic_ratio")
 """The fields that teach more than ``map, start, goal, path``."""
@@ -169,6 +172,12 @@ class PathPredictor(LearnedPlanner):
         ratio_weight: weight of the squared error of the heuristic ratio.
         detour_weight: additional weight of cells where the heuristic is more than 2 % too low.
     """
+
+    PRETRAINED: ClassVar[Mapping[str, str]] = {
+        "eight": "path_predictor.pt",  # 8 moves, no corner is cut
+        "cut": "path_predictor_cut.pt",  # 8 moves, which may cut corners
+        "four": "path_predictor_4.pt",  # 4 moves
+    }
 
     def __init__(
         self,

@@ -75,19 +75,26 @@ class Import(NamedTuple):
         )
 
 
-def imports(source: str) -> Iterator[Import]:
-    """Yield what Python text imports, those for type checkers too."""
+def imports(source: str, package: str = "") -> Iterator[Import]:
+    """Yield what Python text imports, those for type checkers too.
+
+    Relative imports are those of a module of ``package``.
+    """
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             yield from (Import(alias.name, "") for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            yield from (Import(node.module or "", alias.name) for alias in node.names)
+            parts = [node.module] if node.module else []
+            if node.level:  # one dot is the package itself, each further one the package around it
+                parts = [*package.split(".")[: 1 - node.level or None], *parts]
+            yield from (Import(".".join(parts), alias.name) for alias in node.names)
 
 
 @cache
 def imports_of(path: Path) -> tuple[Import, ...]:
     """Return what a file imports."""
-    return tuple(imports(path.read_text(encoding="utf-8")))
+    package = ".".join(path.relative_to(ROOT).parent.parts)
+    return tuple(imports(path.read_text(encoding="utf-8"), package))
 
 
 def python_files(*folders: str) -> list[str]:
@@ -117,6 +124,24 @@ def test_ground_files_import_only_one_another() -> None:
     for name in GROUND:
         found = {one.folder() for one in imports_of(ROOT / "mapdata" / f"{name}.py")} - {""}
         assert found <= set(GROUND), name
+
+
+def test_nothing_in_mapdata_imports_the_models() -> None:
+    """The models use mapdata; nothing in it needs them, not even inside a function."""
+    for name in python_files("mapdata"):
+        if not name.startswith("mapdata/models/"):  # a folder in released sources, a link in git
+            for one in imports_of(ROOT / name):
+                assert f"{one.module}.{one.name}.".find("mapdata.models.") == -1, name
+                assert one.module.split(".")[0] != "models", name
+
+
+def test_models_import_one_another_by_relative_names() -> None:
+    """So that a copy of the folder works under another name, and none is imported twice."""
+    names = python_files("models")
+    assert "models/path_predictor.py" in names or not (ROOT / "models").exists()
+    for name in names:
+        for one in imports((ROOT / name).read_text(encoding="utf-8")):
+            assert not one.module.startswith("mapdata.models"), name
 
 
 def test_no_module_imports_itself_round_a_corner() -> None:

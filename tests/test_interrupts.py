@@ -91,6 +91,8 @@ def console_script() -> list[str]:
         ("matplotlib", ["scripts/evaluate_sampler.py"], []),
         ("pytorch_lightning", ["scripts/train_lego_sampler.py"], ["fit"]),
         ("pytorch_lightning", ["scripts/train_path_predictor.py"], ["fit"]),
+        ("pytorch_lightning", ["-m", "mapdata.models.train"], ["path_predictor", "fit"]),
+        ("matplotlib", ["-m", "mapdata.models.evaluate"], ["planners"]),
     ],
 )
 def test_ctrl_c_during_an_import_ends_with_one_line(

@@ -1,12 +1,13 @@
 """The command ``mapdata``, and the functions that the scripts share with it."""
 
 from mapdata.cli.app import build_main, main
-from mapdata.cli.common import run_parsed
+from mapdata.cli.common import complain, run_parsed
 from mapdata.cli.problems import check_outputs, load_problems, write_table
 
 __all__ = [
     "build_main",
     "check_outputs",
+    "complain",
     "load_problems",
     "main",
     "run_parsed",

@@ -79,10 +79,10 @@ def build_command(
     if recipe is not None:
         to_build = as_recipe(recipe, maps=maps, seed=seed)
     else:
-        spec = MapGenerator.preset(preset or "paper")
+        generator = MapGenerator.preset(preset or "paper")
         if map_size is not None:
-            spec = replace(spec, map_size=map_size)
-        to_build = as_recipe(spec, maps=maps, seed=seed)
+            generator = replace(generator, map_size=map_size)
+        to_build = as_recipe(generator, maps=maps, seed=seed)
     began = time.perf_counter()
     with nullcontext() if scheduler is None else dask_executor(scheduler) as executor:
         manifest = build(
@@ -266,14 +266,14 @@ def list_command() -> None:
     from mapdata.generators import PRESETS, MapGenerator
 
     common_names = {parameter.name for parameter in fields(MapGenerator)}
-    for name, spec in PRESETS.items():
-        rows, columns = spec.map_size
+    for name, generator in PRESETS.items():
+        rows, columns = generator.map_size
         changes = []
-        for parameter in fields(spec):
-            setting = getattr(spec, parameter.name)
+        for parameter in fields(generator):
+            setting = getattr(generator, parameter.name)
             if parameter.name not in common_names and setting != parameter.default:
                 changes.append(f"{parameter.name} {json.dumps(setting)}")
-        description = ", ".join([spec.description, *changes])
+        description = ", ".join([generator.description, *changes])
         print(f"{name:12}{f'{rows} x {columns}':12}{description}")
 
 

@@ -38,7 +38,7 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
     shards = counted(len(manifest.shards), "shard")
     unfinished = "" if manifest.complete else f" (of {manifest.maps:,}: not finished)"
     lines = {"maps": f"{done:,} of {rows} x {columns} cells in {shards}{unfinished}"}
-    if manifest.spec is None:
+    if manifest.generator is None:
         lines |= _import_summary(root, manifest)
     if seconds is not None:
         lines["rate"] = f"{seconds:.1f} s, {done / seconds:,.0f} maps/s"

@@ -243,11 +243,11 @@ class MapDataModule(_Base):
         content_hashes: list[str | None] = [None]
         if isinstance(dataset, MapDataset):
             manifests = dataset.reader.manifests
-            recipes = [manifest.recipe() if manifest.spec else None for manifest in manifests]
+            recipes = [manifest.recipe() if manifest.generator else None for manifest in manifests]
             identities = [manifest.identity for manifest in manifests]
             content_hashes = [manifest.content_hash for manifest in manifests]
         else:
-            identities = [identity(dataset.spec, dataset.seed)]
+            identities = [identity(dataset.generator, dataset.seed)]
         self.hparams["recipe"] = one_or_all(recipes)
         self.hparams["identity"] = one_or_all(identities)
         self.hparams["content_hash"] = one_or_all(content_hashes)
@@ -274,8 +274,8 @@ class MapDataModule(_Base):
             return MapDataset(self.roots, split, **arguments)
         assert self.build is not None  # there are roots or a recipe
         recipe = as_recipe(self.build)
-        length = max(round(recipe.maps * recipe.spec.splits[SPLITS.index(split)]), 1)
-        return OnlineMapDataset(recipe.spec, recipe.seed, length, split, **arguments)
+        length = max(round(recipe.maps * recipe.generator.splits[SPLITS.index(split)]), 1)
+        return OnlineMapDataset(recipe.generator, recipe.seed, length, split, **arguments)
 
     def train_dataloader(self) -> DataLoader[Sample]:
         """Return the loader of the training split, in another order each epoch."""

@@ -285,24 +285,27 @@ class ProblemDataset(Dataset[Sample], ABC):
     # In what follows, map p is the p-th map of the split, and problem i is first sampled on map i.
 
     @abstractmethod
-    def _grids(self, maps: Ints) -> Bytes:
-        """Return maps, (B, H, W), inflated by the radius of the robot."""
+    def _grids(self, map_numbers: Ints) -> Bytes:
+        """Return the grids of maps by their numbers in the split, (B, H, W).
+
+        They are inflated by the radius of the robot.
+        """
 
     @abstractmethod
-    def _obstacles(self, maps: Ints) -> Bytes:
-        """Return maps, (B, H, W), that are not inflated."""
+    def _obstacles(self, map_numbers: Ints) -> Bytes:
+        """Return the grids of maps, (B, H, W), that are not inflated."""
 
     @abstractmethod
     def _radius_in_cells(self) -> float:
         """Return the radius of the robot in cells."""
 
     @abstractmethod
-    def _seed_points(self, maps: Ints) -> Ints:
-        """Return the seed points of maps, (B, R, 2)."""
+    def _seed_points(self, map_numbers: Ints) -> Ints:
+        """Return the seed points of maps by their numbers, (B, R, 2)."""
 
-    def _rooms(self, maps: Ints, grids: Bytes) -> Rooms:
+    def _rooms(self, map_numbers: Ints, grids: Bytes) -> Rooms:
         """Return the rooms of maps, whose ``grids`` (B, H, W) are known."""
-        seed_points = self._seed_points(maps)
+        seed_points = self._seed_points(map_numbers)
         matrices = room_matrices(self.serving.search, grids, seed_points, self.movement)
         return Rooms(matrices, seed_points)
 
@@ -347,26 +350,28 @@ class ProblemDataset(Dataset[Sample], ABC):
             batch.paths = paths
         return batch
 
-    def _sample(self, maps: Ints, indices: Ints, epoch: int, attempt: int) -> SampledProblems:
+    def _sample(
+        self, map_numbers: Ints, indices: Ints, epoch: int, attempt: int
+    ) -> SampledProblems:
         """Sample a random problem on each map.
 
         Each attempt has its own draws, so that a substitute does not repeat the draws that failed.
         Their number grows, because conditions that failed are rare.
 
         Args:
-            maps: (B,) the maps.
+            map_numbers: (B,) numbers of the maps in the split.
             indices: (B,) numbers of the samples.
             epoch: pass over the data.
             attempt: 0 for the samples' own maps, then the number of the substitute.
         """
         problems = self.serving.problems
         assert isinstance(problems, Random)
-        grids = self._grids(maps)
+        grids = self._grids(map_numbers)
         # DRAWS * (2 * attempt + 1) draws, beginning after those of the attempts before.
         draws = (DRAWS * attempt**2, DRAWS * (attempt + 1) ** 2)
         ends, cells, offsets, iterations = sample_problems(
             grids,
-            self._seed_points(maps)[:, 0] if problems.to_first_seed_point else None,
+            self._seed_points(map_numbers)[:, 0] if problems.to_first_seed_point else None,
             np.uint64(self.serving.sampling_seed),
             epoch,
             indices,
@@ -380,7 +385,7 @@ class ProblemDataset(Dataset[Sample], ABC):
         return SampledProblems(grids, ends, paths)
 
     def _as_batch(
-        self, indices: Ints, maps: Ints, grids: Bytes, starts: Ints, goals: Ints
+        self, indices: Ints, map_numbers: Ints, grids: Bytes, starts: Ints, goals: Ints
     ) -> Batch:
         """Return problems as a batch whose paths are searched when they are needed."""
         return Batch(
@@ -390,11 +395,13 @@ class ProblemDataset(Dataset[Sample], ABC):
             starts=starts,
             goals=goals,
             problems=indices,
-            compute_rooms=lambda: self._rooms(maps, grids),
+            compute_rooms=lambda: self._rooms(map_numbers, grids),
             requested_fields=self._field_names,
             max_length=self.serving.max_length,
             radius=self._radius_in_cells(),
-            compute_obstacles=(lambda: self._obstacles(maps)) if self.serving.radius else None,
+            compute_obstacles=(
+                (lambda: self._obstacles(map_numbers)) if self.serving.radius else None
+            ),
         )
 
 
@@ -542,12 +549,12 @@ class MapDataset(ProblemDataset):
         """
         recipes = []
         for manifest in self.reader.manifests:
-            spec = manifest.spec
+            generator = manifest.generator
             recipe = None
             # `Recipe` refuses a generator whose family is not registered here.
-            is_registered = not isinstance(spec, UnknownFamily)
-            if spec is not None and is_registered and manifest.seed is not None:
-                recipe = Recipe(spec, manifest.seed, manifest.maps, manifest.content_hash)
+            is_registered = not isinstance(generator, UnknownFamily)
+            if generator is not None and is_registered and manifest.seed is not None:
+                recipe = Recipe(generator, manifest.seed, manifest.maps, manifest.content_hash)
             recipes.append(recipe)
         resolutions = {manifest.resolution for manifest in self.reader.manifests}
         splits = SPLITS if self.split is None else (self.split,)
@@ -685,25 +692,29 @@ class MapDataset(ProblemDataset):
             batch.compute_paths = lambda: self.reader.paths(stored, self.serving.search)
         return batch
 
-    def _grids(self, maps: Ints) -> Bytes:
-        return self.reader.grids(self.reader.locate(maps))
+    def _grids(self, map_numbers: Ints) -> Bytes:
+        return self.reader.grids(self.reader.locate(map_numbers))
 
-    def _obstacles(self, maps: Ints) -> Bytes:
-        return self.reader.obstacles(self.reader.locate(maps))
+    def _obstacles(self, map_numbers: Ints) -> Bytes:
+        return self.reader.obstacles(self.reader.locate(map_numbers))
 
     def _radius_in_cells(self) -> float:
         radius = self.serving.radius
         return radius / self.reader.root.resolution if radius else 0.0
 
-    def _stored_rooms(self, maps: Ints) -> Rooms:
+    def _stored_rooms(self, map_numbers: Ints) -> Rooms:
         """Return the rooms of maps as their shards hold them."""
-        return self.reader.rooms(self.reader.locate(maps), self.serving.search)
+        return self.reader.rooms(self.reader.locate(map_numbers), self.serving.search)
 
-    def _seed_points(self, maps: Ints) -> Ints:
-        return self._stored_rooms(maps).seed_points
+    def _seed_points(self, map_numbers: Ints) -> Ints:
+        return self._stored_rooms(map_numbers).seed_points
 
-    def _rooms(self, maps: Ints, grids: Bytes) -> Rooms:
-        return self._stored_rooms(maps) if self._labels_fit else super()._rooms(maps, grids)
+    def _rooms(self, map_numbers: Ints, grids: Bytes) -> Rooms:
+        return (
+            self._stored_rooms(map_numbers)
+            if self._labels_fit
+            else super()._rooms(map_numbers, grids)
+        )
 
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
         """Return the maps that follow those of the samples; the first map follows the last."""

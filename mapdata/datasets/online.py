@@ -82,12 +82,12 @@ class OnlineMapDataset(ProblemDataset):
         )
         super().__init__(split, serving)
         recipe = as_recipe(recipe, seed=seed)
-        self.spec = recipe.spec
+        self.generator = recipe.generator
         self.seed = recipe.seed
         self.length = recipe.maps if length is None else check_count("length", length)
-        self.movement = movement or self.spec.movement
-        self.map_size = self.spec.map_size
-        self._min_clearance = min_squared_clearance(radius, self.spec.resolution)
+        self.movement = movement or self.generator.movement
+        self.map_size = self.generator.map_size
+        self._min_clearance = min_squared_clearance(radius, self.generator.resolution)
         self._open()
 
     def _open(self) -> None:
@@ -96,7 +96,7 @@ class OnlineMapDataset(ProblemDataset):
         self._map_indices = None
         if self.split is not None:
             map_count = 2 * self.length
-            self._map_indices = maps_of_split(self.spec, self.seed, self.split, map_count)
+            self._map_indices = maps_of_split(self.generator, self.seed, self.split, map_count)
 
     def __len__(self) -> int:
         """Return the number of problems."""
@@ -104,7 +104,7 @@ class OnlineMapDataset(ProblemDataset):
 
     def __repr__(self) -> str:
         return (
-            f"OnlineMapDataset({self.spec}, seed={self.seed}, split={self.split!r}, "
+            f"OnlineMapDataset({self.generator}, seed={self.seed}, split={self.split!r}, "
             f"problems={self.serving.problems}): {self.length} problems"
         )
 
@@ -118,36 +118,36 @@ class OnlineMapDataset(ProblemDataset):
         if self.split is not None:
             counts = {self.split: self.length}
         else:
-            thresholds = split_thresholds(self.spec.splits)
+            thresholds = split_thresholds(self.generator.splits)
             codes = draw_splits(np.uint64(self.seed), np.arange(self.length), thresholds)
             split_counts = np.bincount(codes, minlength=len(SPLITS)).tolist()
             counts = dict(zip(SPLITS, split_counts, strict=True))
         return DatasetInfo(
             roots=(),
-            recipes=(Recipe(self.spec, self.seed, self.length),),
-            identities=(identity(self.spec, self.seed),),
+            recipes=(Recipe(self.generator, self.seed, self.length),),
+            identities=(identity(self.generator, self.seed),),
             content_hashes=(None,),
             map_counts=counts,
             problem_counts=dict(counts),
             map_size=self.map_size,
-            resolution=self.spec.resolution,
+            resolution=self.generator.resolution,
             movement=self.movement,
             fields=field_infos(self._load(np.array([0]), 0)),
         )
 
-    def _maps(self, maps: Ints) -> Maps:
+    def _maps(self, map_numbers: Ints) -> Maps:
         """Return maps by their numbers in the split."""
-        indices = maps if self._map_indices is None else self._map_indices[maps]
-        return generate(self.spec, self.seed, indices)
+        indices = map_numbers if self._map_indices is None else self._map_indices[map_numbers]
+        return generate(self.generator, self.seed, indices)
 
-    def _grids(self, maps: Ints) -> Bytes:
-        return self._inflated(self._maps(maps))
+    def _grids(self, map_numbers: Ints) -> Bytes:
+        return self._inflated(self._maps(map_numbers))
 
-    def _obstacles(self, maps: Ints) -> Bytes:
-        return self._maps(maps).occupancy
+    def _obstacles(self, map_numbers: Ints) -> Bytes:
+        return self._maps(map_numbers).occupancy
 
     def _radius_in_cells(self) -> float:
-        return self.serving.radius / self.spec.resolution
+        return self.serving.radius / self.generator.resolution
 
     def _inflated(self, maps: Maps) -> Bytes:
         """Return the grids of maps, inflated by the radius of the robot."""
@@ -156,8 +156,8 @@ class OnlineMapDataset(ProblemDataset):
             inflate_all(grids, self._min_clearance)
         return grids
 
-    def _seed_points(self, maps: Ints) -> Ints:
-        return self._maps(maps).seed_points
+    def _seed_points(self, map_numbers: Ints) -> Ints:
+        return self._maps(map_numbers).seed_points
 
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
         """Return maps from the second half of the 2 * length maps, which belong to no sample.
@@ -167,11 +167,13 @@ class OnlineMapDataset(ProblemDataset):
         """
         return self.length + (indices + attempt - 1) % self.length
 
-    def _sample(self, maps: Ints, indices: Ints, epoch: int, attempt: int) -> SampledProblems:
+    def _sample(
+        self, map_numbers: Ints, indices: Ints, epoch: int, attempt: int
+    ) -> SampledProblems:
         problems = self.serving.problems
         if isinstance(problems, Random):
-            return super()._sample(maps, indices, epoch, attempt)
-        generated = self._maps(maps)
+            return super()._sample(map_numbers, indices, epoch, attempt)
+        generated = self._maps(map_numbers)
         grids = self._inflated(generated)
         is_route = isinstance(problems, Route)
         ends, cells, offsets, iterations = solve_pairs(

@@ -129,10 +129,10 @@ def sections(statistics: DatasetStatistics, *, copied: bool = False) -> list[Sec
     names = _folder_names(statistics)
     provenance = []
     for name, location, manifest in zip(names, root.locations, root.manifests, strict=True):
-        if manifest.spec is None:
+        if manifest.generator is None:
             provenance.append(_import_section(location, statistics.rooms_known))
         else:
-            provenance.append(_rebuild_section(name, manifest, manifest.spec))
+            provenance.append(_rebuild_section(name, manifest, manifest.generator))
     return [
         Section(title(statistics), _introduction(statistics)),
         _facts_section(statistics, copied),
@@ -150,7 +150,9 @@ def _introduction(statistics: DatasetStatistics) -> str:
     """Return the paragraph under the title."""
     points = f"{statistics.noun}s"
     sources = [
-        f"{manifest.spec.description}, made" if manifest.spec else "imported maps, labelled"
+        f"{manifest.generator.description}, made"
+        if manifest.generator
+        else "imported maps, labelled"
         for manifest in statistics.root.manifests
     ]
     distinct_sources = "; ".join(dict.fromkeys(sources))
@@ -190,7 +192,7 @@ def _manifest_facts(manifest: Manifest, copied: bool) -> dict[str, str]:
         facts["size on disk"] = f"{size / 1e6:,.2f} MB"
         facts["format"] = f"mapdata shards (HDF5), version {manifest.format_version}"
     return facts | {
-        "preset": _preset_name(manifest.spec),
+        "preset": _preset_name(manifest.generator),
         "seed": "" if manifest.seed is None else str(manifest.seed),
         "identity": manifest.identity or "none: imported maps are what their content hash says",
         "content hash": manifest.content_hash,
@@ -205,12 +207,12 @@ def _preset_name(generator: MapGenerator | None) -> str:
     return ""
 
 
-def _rebuild_section(name: str, manifest: Manifest, spec: MapGenerator) -> Section:
+def _rebuild_section(name: str, manifest: Manifest, generator: MapGenerator) -> Section:
     """Return the commands that build a dataset again in a folder ``name``.
 
-    ``spec`` is the generator of the manifest.
+    ``generator`` is that of the manifest.
     """
-    module = type(spec).__module__
+    module = type(generator).__module__
     text = (
         "Map i is a pure function of the spec, the seed and i, so these lines make the same maps "
         "and labels, bit for bit, on any machine; the command says whether the content hash agrees."
@@ -218,11 +220,11 @@ def _rebuild_section(name: str, manifest: Manifest, spec: MapGenerator) -> Secti
     command = f"mapdata build {shlex.quote(name)} --recipe recipe.json"
     if manifest.shard_size != 1000:
         command += f" --shard-size {manifest.shard_size}"
-    if isinstance(spec, UnknownFamily) or module == "__main__":
-        text += f" The command needs --import with the module of the family {spec.name}."
+    if isinstance(generator, UnknownFamily) or module == "__main__":
+        text += f" The command needs --import with the module of the family {generator.name}."
     elif not module.startswith("mapdata."):
         command += f" --import {module}"
-        text += f" The module {module} has the family {spec.name}."
+        text += f" The module {module} has the family {generator.name}."
     lines = ("cat > recipe.json <<'END'", manifest.recipe(), "END", command)
     return Section("Make it again", text, code="\n".join(lines), language="sh")
 
@@ -370,8 +372,10 @@ def _usage_section(statistics: DatasetStatistics, copied: bool) -> Section:
 def _citation_request(statistics: DatasetStatistics) -> str:
     """Return which work users of the maps are asked to cite; equal requests are written once."""
     import_request = f"Cite the source of the maps. {MapGenerator.citation}"
-    specs = [manifest.spec for manifest in statistics.root.manifests]
-    requests = [import_request if spec is None else spec.citation for spec in specs]
+    generators = [manifest.generator for manifest in statistics.root.manifests]
+    requests = [
+        import_request if generator is None else generator.citation for generator in generators
+    ]
     return " ".join(dict.fromkeys(requests))
 
 

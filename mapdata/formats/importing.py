@@ -166,7 +166,7 @@ def import_maps(
             advance(len(numbered) - len(kept_maps))
             origin = _origin(source, kept_maps, separated, draws)
             plan = Manifest(
-                spec=None,
+                generator=None,
                 seed=None,
                 maps=len(kept_maps),
                 shard_size=shard_size or min(1000, _MAX_CELLS_PER_SHARD // prod(size)),

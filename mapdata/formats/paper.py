@@ -122,14 +122,19 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
 
 
 def is_release(path: Path) -> bool:
-    """Return whether a CSV has our columns, or lies beside ``map0.png`` as that of the authors."""
+    """Return whether a CSV has the columns ``PARAMETERS``, or lies beside ``map0.png``."""
     try:
-        # The length of the header is limited, since a line may be as long as a hostile file.
-        with open(path, encoding="utf-8-sig", errors="replace") as file:
-            columns = file.readline(100_000).strip().split(",")
+        header = _read_header(path)
     except OSError:
         return False
-    return set(columns).issuperset(PARAMETERS) or (path.parent / "map0.png").exists()
+    has_our_columns = set(header.split(",")).issuperset(PARAMETERS)
+    return has_our_columns or (path.parent / "map0.png").exists()
+
+
+def _read_header(path: Path) -> str:
+    """Return the first line of a file, cut at 100,000 characters."""
+    with open(path, encoding="utf-8-sig", errors="replace") as file:
+        return file.readline(100_000).strip()
 
 
 def _csv_path(source: Path) -> Path:

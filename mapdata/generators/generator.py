@@ -95,7 +95,7 @@ class MapGenerator(ABC):
 
     @property
     @abstractmethod
-    def most_seed_points(self) -> int:
+    def max_seed_points(self) -> int:
         """The largest number of seed points that a map can have."""
 
     @abstractmethod
@@ -129,7 +129,9 @@ class MapGenerator(ABC):
         Raises:
             ValueError: the family has no preset of this name.
         """
-        presets = {name: spec for name, spec in PRESETS.items() if isinstance(spec, cls)}
+        presets = {
+            name: generator for name, generator in PRESETS.items() if isinstance(generator, cls)
+        }
         if name in PRESETS and name not in presets:
             raise ValueError(
                 f"preset: {name!r} is of another family: MapGenerator.preset({name!r})"
@@ -215,7 +217,7 @@ class UnknownFamily(MapGenerator):
         return f"maps of the family {self.name}"
 
     @property
-    def most_seed_points(self) -> int:
+    def max_seed_points(self) -> int:
         """The largest number that any map can have."""
         return MAX_ROOMS
 
@@ -302,7 +304,7 @@ def register(family: type[MapGenerator], presets: Mapping[str, MapGenerator] = {
     is_dataclass = "__dataclass_fields__" in vars(family)
     if not is_dataclass or isabstract(family) or not hasattr(family, "name"):
         raise ValueError(
-            f"{family.__name__}: expected a frozen dataclass with name, most_seed_points and draw"
+            f"{family.__name__}: expected a frozen dataclass with name, max_seed_points and draw"
         )
     # A notebook defines the same class anew each time its cell runs; the new class replaces it.
     registered = GENERATORS.get(family.name, family)
@@ -375,15 +377,15 @@ def why_unknown(name: str) -> str:
     )
 
 
-def identity(spec: MapGenerator, seed: int) -> str:
+def identity(generator: MapGenerator, seed: int) -> str:
     """Return the identity of the maps of a generator and a seed, 64 hexadecimal digits.
 
     It is the SHA-256 of the canonical JSON of format version, generator and seed. The number of
     maps is not part of it, so that a dataset can grow.
     """
     recipe = {
-        "format_version": spec.format_version,
-        "spec": spec.to_dict(),
+        "format_version": generator.format_version,
+        "spec": generator.to_dict(),
         "seed": check_seed(seed),
     }
     return json_hash(recipe)

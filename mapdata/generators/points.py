@@ -41,7 +41,7 @@ class Scattered(MapGenerator):
     seed_points: int
 
     @property
-    def most_seed_points(self) -> int:
+    def max_seed_points(self) -> int:
         """The largest number of seed points of a map."""
         return self.seed_points
 
@@ -57,14 +57,14 @@ class Scattered(MapGenerator):
         return with_seed_points(self, seed, indices, grids)
 
 
-def with_seed_points(spec: MapGenerator, seed: int, indices: Ints, grids: Bytes) -> Maps:
+def with_seed_points(generator: MapGenerator, seed: int, indices: Ints, grids: Bytes) -> Maps:
     """Return grids as maps of (generator, seed), with seed points far apart.
 
     The seed points are different free cells of the largest component of a map, up to
-    ``spec.most_seed_points`` of them.
+    ``generator.max_seed_points`` of them.
 
     Args:
-        spec: the generator.
+        generator: the generator.
         seed: 64-bit seed.
         indices: (N,) int64, number of each map.
         grids: (N, H, W) uint8, 0 free and 1 occupied.
@@ -72,24 +72,24 @@ def with_seed_points(spec: MapGenerator, seed: int, indices: Ints, grids: Bytes)
     Raises:
         ValueError: the grids do not have the size of the generator's maps.
     """
-    if grids.shape != (len(indices), *spec.map_size):
+    if grids.shape != (len(indices), *generator.map_size):
         raise ValueError(
-            f"grids: got shape {grids.shape}, expected {len(indices)} maps of {spec.map_size}"
+            f"grids: got shape {grids.shape}, expected {len(indices)} maps of {generator.map_size}"
         )
-    maps = Maps.empty(spec.movement, spec.map_size, indices, spec.most_seed_points)
+    maps = Maps.empty(generator.movement, generator.map_size, indices, generator.max_seed_points)
     key = np.uint64(seed)
     for k, grid in enumerate(grids):
         # Straight steps are legal under every movement, so they join the seed points under each.
         cells = largest_component(grid, 0)
         points = spread_points(
-            cells, maps.columns, key, np.uint64(indices[k]), spec.most_seed_points
+            cells, maps.columns, key, np.uint64(indices[k]), generator.max_seed_points
         )
         rows, columns = np.divmod(points, maps.columns)
         maps.rooms[k] = len(points)
         maps.seed_points[k, : len(points), 0] = rows
         maps.seed_points[k, : len(points), 1] = columns
     maps.packed[:] = pack(grids)
-    maps.split[:] = draw_splits(key, indices, split_thresholds(spec.splits))
+    maps.split[:] = draw_splits(key, indices, split_thresholds(generator.splits))
     return maps
 
 

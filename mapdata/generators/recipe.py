@@ -39,7 +39,7 @@ class Recipe:
     It is all that is needed to build a dataset again, bit for bit.
 
     Attributes:
-        spec: the generator.
+        generator: the generator.
         seed: 64-bit seed.
         maps: number of maps.
         content_hash: hash of these maps and their labels, as hex; None if it is not known. `build`
@@ -53,17 +53,19 @@ class Recipe:
     500
     """
 
-    spec: MapGenerator
+    generator: MapGenerator
     seed: int = 0
     maps: int = 10_000
     content_hash: str | None = None
 
     def __post_init__(self) -> None:
         """Check the values, and turn the integers of other libraries into ints."""
-        if not isinstance(self.spec, MapGenerator):
-            raise ValueError(f"spec: got {self.spec!r}, expected a MapSpec or another MapGenerator")
-        if isinstance(self.spec, UnknownFamily):
-            raise ValueError(f"spec: {why_unknown(self.spec.name)}")
+        if not isinstance(self.generator, MapGenerator):
+            raise ValueError(
+                f"spec: got {self.generator!r}, expected a MapSpec or another MapGenerator"
+            )
+        if isinstance(self.generator, UnknownFamily):
+            raise ValueError(f"spec: {why_unknown(self.generator.name)}")
         if self.content_hash is not None and not _is_sha256(self.content_hash):
             raise ValueError(
                 f"content_hash: got {self.content_hash!r}, expected a SHA-256 in hexadecimal digits"
@@ -74,11 +76,11 @@ class Recipe:
     def to_dict(self) -> dict[str, Any]:
         """Return the recipe as plain values for JSON, which `as_recipe` reads."""
         values: dict[str, Any] = {
-            "format_version": self.spec.format_version,
-            "spec": self.spec.to_dict(),
+            "format_version": self.generator.format_version,
+            "spec": self.generator.to_dict(),
             "seed": self.seed,
             "maps": self.maps,
-            "identity": identity(self.spec, self.seed),
+            "identity": identity(self.generator, self.seed),
         }
         if self.content_hash is not None:
             values["content_hash"] = self.content_hash
@@ -108,7 +110,7 @@ def as_recipe(recipe: RecipeLike, *, seed: int | None = None, maps: int | None =
     """
     loaded = _load(recipe)
     overridden = Recipe(
-        loaded.spec,
+        loaded.generator,
         seed=loaded.seed if seed is None else seed,
         maps=loaded.maps if maps is None else maps,
     )
@@ -172,12 +174,12 @@ def _from_mapping(values: Mapping[str, Any]) -> Recipe:
             f"recipe: format version {version}, this mapdata {__version__} reads {known_versions}"
         )
     recipe = Recipe(
-        spec=MapGenerator.from_dict(values.get("spec", {})),
+        generator=MapGenerator.from_dict(values.get("spec", {})),
         seed=values.get("seed", Recipe.seed),
         maps=values.get("maps", Recipe.maps),
         content_hash=values.get("content_hash"),
     )
-    if values.get("identity") not in (None, identity(recipe.spec, recipe.seed)):
+    if values.get("identity") not in (None, identity(recipe.generator, recipe.seed)):
         raise ValueError(
             f"recipe: its identity {values['identity']} is not that of its spec and seed"
         )
@@ -209,8 +211,8 @@ def generate(
     recipe = as_recipe(recipe, seed=seed)
     if indices is None:
         indices = range(recipe.maps)
-    maps = recipe.spec.draw(recipe.seed, _map_numbers(indices))
-    _check_seed_points(recipe.spec, maps)
+    maps = recipe.generator.draw(recipe.seed, _map_numbers(indices))
+    _check_seed_points(recipe.generator, maps)
     return maps
 
 
@@ -228,17 +230,18 @@ def _map_numbers(indices: Iterable[int]) -> Ints:
     return np.array(numbers, np.int64)
 
 
-def _check_seed_points(spec: MapGenerator, maps: Maps) -> None:
+def _check_seed_points(generator: MapGenerator, maps: Maps) -> None:
     """Refuse maps whose seed points compiled code could not rely on.
 
     The families of mapdata keep these rules; a family that a user wrote may break them.
     """
     points = maps.seed_points
-    is_outside = (points < -1) | (points >= spec.map_size)
+    is_outside = (points < -1) | (points >= generator.map_size)
     point_counts = (points[:, :, 0] >= 0).sum(axis=1)
     # Products of counts of fewer than 64 bits would overflow.
     counts_agree = maps.rooms.dtype == np.int64 and (point_counts == maps.rooms).all()
     if is_outside.any() or not (point_counts.all() and counts_agree):
         raise ValueError(
-            f"{spec.name}: drew seed points outside of a map, none, or not as stated (by int64)"
+            f"{generator.name}: drew seed points outside of a map, none, or not as stated (by "
+            "int64)"
         )

@@ -73,13 +73,13 @@ class MapSpec(MapGenerator):
         check_range("passage_width", self.passage_width, 1, min(rows, columns), too_thick)
 
     @property
-    def most_seed_points(self) -> int:
+    def max_seed_points(self) -> int:
         """The largest number of rooms."""
         return self.rooms[1]
 
     def draw(self, seed: int, indices: Ints) -> Maps:
         """Return the maps ``indices``, (N,) int64: Algorithm 1."""
-        maps = Maps.empty(self.movement, self.map_size, indices, self.most_seed_points)
+        maps = Maps.empty(self.movement, self.map_size, indices, self.max_seed_points)
         limits = np.array([self.rooms, self.room_rows, self.room_columns, self.passage_width])
         skip = np.uint64(threshold(self.skip_probability))
         key = np.uint64(seed)

@@ -38,17 +38,17 @@ def draw_splits(seed: np.uint64, indices: Ints, thresholds: Words) -> Bytes:
     return codes
 
 
-def maps_of_split(spec: MapGenerator, seed: int, split: str, count: int) -> Ints:
+def maps_of_split(generator: MapGenerator, seed: int, split: str, count: int) -> Ints:
     """Return the numbers of the first ``count`` maps of (generator, seed) that belong to a split.
 
     Raises:
         ValueError: the generator has no maps in this split.
     """
     code = SPLITS.index(split)
-    thresholds = split_thresholds(spec.splits)
+    thresholds = split_thresholds(generator.splits)
     word_limits = [0, *thresholds.tolist(), 2**32]
     if word_limits[code] == word_limits[code + 1]:  # No word means this split.
-        raise ValueError(f"split: the spec gives no map to {split!r} (splits {spec.splits})")
+        raise ValueError(f"split: the spec gives no map to {split!r} (splits {generator.splits})")
     key = np.uint64(check_seed(seed))
     chunk_size = max(count, 4096)
     members = np.empty(0, np.int64)

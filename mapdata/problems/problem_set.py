@@ -245,8 +245,8 @@ class ProblemSet:
             until_hard=until_hard,
             seed=recipe.seed,
             movement=movement,
-            min_clearance=min_squared_clearance(radius, recipe.spec.resolution),
-            source=f"the maps with identity {identity(recipe.spec, recipe.seed)[:12]}",
+            min_clearance=min_squared_clearance(radius, recipe.generator.resolution),
+            source=f"the maps with identity {identity(recipe.generator, recipe.seed)[:12]}",
         )
 
     @staticmethod

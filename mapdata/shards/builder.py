@@ -115,15 +115,15 @@ def _build_shards(
 ) -> Manifest:
     """Build the missing shards of a recipe; the arguments are those of `build`."""
     _check_workers(workers, executor)
-    spec = recipe.spec
+    generator = recipe.generator
     planned = Manifest(
-        spec=spec,
+        generator=generator,
         seed=recipe.seed,
         maps=recipe.maps,
         shard_size=check_count("shard_size", shard_size),
-        map_size=spec.map_size,
-        movement=spec.movement,
-        resolution=spec.resolution,
+        map_size=generator.map_size,
+        movement=generator.movement,
+        resolution=generator.resolution,
     )
     assigned = _assigned_headers(planned, part)
     existing = _create_root(root, planned)
@@ -186,8 +186,8 @@ def _compile_kernels(header: Header) -> None:
     The processes of an executor then load them from the cache. Without this, every process would
     compile them at the same time.
     """
-    if header.spec is not None and header.seed is not None:
-        labels = label(generate(header.spec, header.seed, [0]))
+    if header.generator is not None and header.seed is not None:
+        labels = label(generate(header.generator, header.seed, [0]))
         shard_image(labels, replace(header, start=0, stop=1))
 
 
@@ -309,9 +309,9 @@ def build_shard(
         if entry is not None:
             advance(header.maps)
             return entry
-    if header.spec is None or header.seed is None:
+    if header.generator is None or header.seed is None:
         raise ValueError("imported maps cannot be made again: they have no recipe")
-    maps = generate(header.spec, header.seed, range(header.start, header.stop))
+    maps = generate(header.generator, header.seed, range(header.start, header.stop))
     labels = label(maps, advance)
     image, content = shard_image(labels, header)
     write_file(root / header.file_name, image)
@@ -421,7 +421,7 @@ def _check_unlisted_shards(root: Path, planned: Manifest) -> None:
         fits_plan = header.start % planned.shard_size == 0 and header.maps <= planned.shard_size
         existing = replace(
             planned,
-            spec=header.spec,
+            generator=header.generator,
             seed=header.seed,
             maps=header.stop,
             shard_size=planned.shard_size if fits_plan else max_maps,
@@ -457,9 +457,9 @@ def _check_same_dataset(root: Path, planned: Manifest, existing: Manifest) -> No
 
 def _facts(manifest: Manifest) -> dict[str, object]:
     """Return, by name, the parameters that tell a dataset from others."""
-    spec = manifest.spec
-    if spec is None:
+    generator = manifest.generator
+    if generator is None:
         parameters: dict[str, object] = {"generator": "none: imported"}
     else:
-        parameters = {"generator": spec.name, **spec.to_dict()}
+        parameters = {"generator": generator.name, **generator.to_dict()}
     return {"seed": manifest.seed, "shard_size": manifest.shard_size, **parameters}

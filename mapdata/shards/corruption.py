@@ -46,9 +46,9 @@ _NOT_OURS = "no file of this dataset: keep it elsewhere"
 _REPLACED = "replaced by a shard of more maps: the next build removes it"
 
 
-def _unlisted_text(spec: MapGenerator | None) -> str:
+def _unlisted_text(generator: MapGenerator | None) -> str:
     """Return the description of a sound shard that a build or import left before it was listed."""
-    command = "import" if spec is None else "build"
+    command = "import" if generator is None else "build"
     return f"finished, not listed yet: {command} again"
 
 
@@ -91,12 +91,12 @@ class Inspection:
     @property
     def unchecked(self) -> str | None:
         """What could not be checked, and why, on one line; None if everything was checked."""
-        spec = None if self.manifest is None else self.manifest.spec
-        if not isinstance(spec, UnknownFamily):
+        generator = None if self.manifest is None else self.manifest.generator
+        if not isinstance(generator, UnknownFamily):
             return None
         return (
             f"{self.location}: the parameters of its recipe were not checked, since "
-            f"{why_unknown(spec.name)}"
+            f"{why_unknown(generator.name)}"
         )
 
 
@@ -208,9 +208,9 @@ def repair_faults(inspection: Inspection, *, progress: bool = False) -> list[Cor
     repairable: dict[Header, Corruption] = {}
     manifest_is_damaged = False
     for fault in inspection.faults:
-        spec = None if fault.header is None else fault.header.spec
-        if isinstance(spec, UnknownFamily):
-            hint = f"it cannot be made again: {why_unknown(spec.name)}"
+        generator = None if fault.header is None else fault.header.generator
+        if isinstance(generator, UnknownFamily):
+            hint = f"it cannot be made again: {why_unknown(generator.name)}"
             remaining.append(replace(fault, description=f"{fault.description}; {hint}"))
         elif fault.header is not None:
             repairable[fault.header] = fault
@@ -247,7 +247,7 @@ def _repair_shards(
         The entries of the repaired shards, and the faults that remain.
     """
     stated_hashes = {entry.name: entry.content_hash for entry in manifest.shards}
-    unlisted = _unlisted_text(manifest.spec)
+    unlisted = _unlisted_text(manifest.generator)
     # The file of a shard that is only not listed is sound, and is kept.
     damaged = {header.limits for header, fault in faults.items() if fault.description != unlisted}
     entries = []
@@ -286,7 +286,7 @@ def _repair_shard(
     Returns:
         The entry of the new shard; None if imported maps are lost.
     """
-    if header.spec is not None:
+    if header.generator is not None:
         return build_shard(root, header, damaged=damaged)
     if header.limits not in damaged:
         return load_shard(root, header)
@@ -323,7 +323,7 @@ def _check_files(
             sound shards, which does not tell a lost shard from one that was never built.
         progress: show a progress bar.
     """
-    faults = _check_provenance(location) if manifest.spec is None else []
+    faults = _check_provenance(location) if manifest.generator is None else []
     faults += _check_listed_shards(location, manifest, progress)
     faults += _check_planned_shards(location, manifest, is_listed)
     if not is_url(location):
@@ -384,7 +384,7 @@ def _why_unlisted(root: Path, header: Header) -> str:
         checked_entry(root, header)
     except (OSError, ShardError) as error:
         return str(error)
-    return _unlisted_text(header.spec)
+    return _unlisted_text(header.generator)
 
 
 def _why_unplanned(manifest: Manifest, path: Path) -> str:
@@ -397,7 +397,7 @@ def _why_unplanned(manifest: Manifest, path: Path) -> str:
             is_replaced = any(
                 entry.start == start and stop < entry.stop for entry in manifest.shards
             )
-            return _REPLACED if is_replaced else _unlisted_text(manifest.spec)
+            return _REPLACED if is_replaced else _unlisted_text(manifest.generator)
     return _NOT_OURS
 
 
@@ -423,7 +423,7 @@ def _gather_manifest(root: Path, paths: Sequence[Path], progress: bool) -> Manif
     maps = max(stop for _, stop in spans)
     # A build takes shards of 1,000 maps by default. An import takes smaller ones for large maps,
     # so its only shard is assumed to be a whole one.
-    default_size = maps if common_header.spec is None else 1000
+    default_size = maps if common_header.generator is None else 1000
     shard_size = _guess_shard_size(root, spans, default_size)
     if shard_size is None or maps > MAX_SHARDS * shard_size:
         return None

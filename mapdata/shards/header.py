@@ -57,14 +57,14 @@ class Origin:
     """The properties that all shards of a dataset share.
 
     Attributes:
-        spec: generator that drew the maps, None for imported maps.
+        generator: generator that drew the maps, None for imported maps.
         seed: seed that they were drawn with, None for imported maps.
         map_size: (rows, columns).
         movement: rule of movement of the stored paths.
         resolution: metres per cell.
     """
 
-    spec: MapGenerator | None
+    generator: MapGenerator | None
     seed: int | None
     map_size: Size
     movement: Movement
@@ -73,16 +73,16 @@ class Origin:
     @property
     def identity(self) -> str | None:
         """The identity of the dataset; None for imported maps, which only their hash identifies."""
-        if self.spec is None or self.seed is None:
+        if self.generator is None or self.seed is None:
             return None
-        return identity(self.spec, self.seed)
+        return identity(self.generator, self.seed)
 
     @property
     def format_version(self) -> int:
         """The version of the format that the dataset is written in."""
-        if self.spec is None:
+        if self.generator is None:
             return min_version(self.map_size)
-        return self.spec.format_version
+        return self.generator.format_version
 
     def recipe_properties(self, content_hash: str) -> dict[str, Any]:
         """Return the properties that begin a manifest and the root attributes of a shard.
@@ -95,7 +95,7 @@ class Origin:
             "library_version": __version__,
             "identity": self.identity,
             "content_hash": content_hash,
-            "spec": self.spec.to_dict() if self.spec else None,
+            "spec": self.generator.to_dict() if self.generator else None,
             "seed": self.seed,
         }
 
@@ -161,16 +161,19 @@ class Header(MapRange, Origin):
         """Return whether ``other`` is a header with the same stored form."""
         if not isinstance(other, Header) or self._properties != other._properties:
             return False
-        if self.spec is None or other.spec is None:
-            return self.spec is other.spec
-        return self.spec == other.spec or self.spec.to_json() == other.spec.to_json()
+        if self.generator is None or other.generator is None:
+            return self.generator is other.generator
+        return (
+            self.generator == other.generator
+            or self.generator.to_json() == other.generator.to_json()
+        )
 
     def __hash__(self) -> int:
         return hash(self._properties)
 
     @property
     def _properties(self) -> tuple[object, ...]:
-        """All attributes but the spec."""
+        """All attributes but the generator."""
         return self.seed, self.map_size, self.movement, self.resolution, self.start, self.stop
 
 

@@ -113,8 +113,8 @@ class Manifest(Origin):
     @property
     def max_seed_points(self) -> int:
         """The largest number of seed points that a map can have."""
-        if self.spec is not None and not isinstance(self.spec, UnknownFamily):
-            return self.spec.most_seed_points
+        if self.generator is not None and not isinstance(self.generator, UnknownFamily):
+            return self.generator.max_seed_points
         return max((entry.counts["most_rooms"] for entry in self.shards), default=1)
 
     def __repr__(self) -> str:
@@ -150,11 +150,11 @@ class Manifest(Origin):
         Raises:
             ValueError: imported maps have no recipe.
         """
-        if self.spec is None:
+        if self.generator is None:
             raise ValueError("imported maps have no recipe: their identity is the content hash")
         recipe = {
             "format_version": self.format_version,
-            "spec": self.spec.to_dict(),
+            "spec": self.generator.to_dict(),
             "seed": self.seed,
             "maps": self.maps,
             "identity": self.identity,
@@ -240,9 +240,9 @@ def parse_manifest(text: str | bytes, path: str) -> Manifest:
         check_version(stored["format_version"], f"{path}: ")
         if stored.pop("manifest_hash") != json_hash(stored):
             raise ShardError(f"{path}: damaged (its hash does not fit)")
-        spec = stored["spec"]
+        generator = stored["spec"]
         manifest = Manifest(
-            spec=None if spec is None else stored_generator(json.dumps(spec)),
+            generator=None if generator is None else stored_generator(json.dumps(generator)),
             seed=None if stored["seed"] is None else check_seed(stored["seed"]),
             maps=check_count("maps", stored["maps"]),
             shard_size=check_count("shard_size", stored["shard_size"]),

@@ -252,9 +252,9 @@ def _parse_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
         raise ShardError("not a mapdata shard (its attribute 'format' is not 'mapdata')")
     version = int(attributes["format_version"])
     check_version(version)
-    spec = stored_generator(attributes["spec"]) if attributes["spec"] else None
+    generator = stored_generator(attributes["spec"]) if attributes["spec"] else None
     header = Header(
-        spec=spec,
+        generator=generator,
         seed=int(attributes["seed"]) if attributes["seed"] else None,
         start=int(attributes["start"]),
         stop=int(attributes["stop"]),
@@ -268,9 +268,9 @@ def _parse_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
         )
     if attributes["identity"] != (header.identity or ""):
         raise ShardError("its identity is not that of its spec and seed")
-    if spec is not None:
+    if generator is not None:
         stated_properties = (header.map_size, header.movement, header.resolution)
-        if stated_properties != (spec.map_size, spec.movement, spec.resolution):
+        if stated_properties != (generator.map_size, generator.movement, generator.resolution):
             raise ShardError(
                 "its attributes 'map_size', 'movement', 'resolution' are not those of its 'spec'"
             )

@@ -6,3 +6,10 @@
 - ``roadmap.py``: roadmaps, and samplers that learn nothing.
 - ``comparison.py``: the table that compares samplers.
 """
+
+from importlib.util import find_spec
+
+if find_spec("scipy") is None:
+    raise ModuleNotFoundError(
+        "mapdata.models.lego needs scipy, the extra [examples]: pip install scipy", name="scipy"
+    )

@@ -3,10 +3,10 @@
 The table of docs/samplers.md is made so:
 
     from mapdata import Movement, ProblemSet
-    from models.lego.comparison import compare, contenders, to_text
-    from models.lego.sampler import Heatmap
+    from mapdata.models import Heatmap
+    from mapdata.models.lego.comparison import compare, contenders, to_text
 
-    rows = contenders({"lego_heatmap": Heatmap.load("models/weights/lego_heatmap.pt")})
+    rows = contenders({"lego_heatmap": Heatmap.pretrained()})
     problems = ProblemSet.sample("dungeon", seed=77, maps=1000, movement=Movement(8))
     print(to_text(compare(rows, problems)))
 """
@@ -26,8 +26,9 @@ from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.evaluation import confidence_intervals, with_interval
 from mapdata.plotting import PALETTE
 from mapdata.problems import HARD, ProblemSet
-from models.lego.roadmap import SAMPLERS, MapSampler, halton, path_lengths, uniform
-from models.lego.sampler import Sampler
+
+from .roadmap import SAMPLERS, MapSampler, halton, path_lengths, uniform
+from .sampler import Sampler
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

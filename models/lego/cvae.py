@@ -7,10 +7,13 @@ The decoder makes a point of a latent, two numbers, and a condition. In the orig
 holds the 10 x 10 cells of a coarse map. Here it is a convolutional code of map, start and goal, so
 that maps may have any size.
 
-Targets, training and files are those of `models.lego.sampler.Sampler`.
+Targets, training and files are those of `mapdata.models.lego.sampler.Sampler`.
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -19,10 +22,11 @@ from numpy.random import Generator
 from torch import Tensor, nn
 
 from mapdata.arrays import Bytes, Floats, Ints
-from models.layers import padded
-from models.lego.roadmap import free_at, uniform
-from models.lego.sampler import Sampler, encode
-from models.model import Tensors
+
+from ..layers import padded
+from ..model import Tensors
+from .roadmap import free_at, uniform
+from .sampler import Sampler, encode
 
 MAX_ROUNDS = 8
 """How often `CVAE` draws points before uniform ones take the place of those that are not free."""
@@ -77,7 +81,7 @@ class CVAE(Sampler):
       because there are far fewer steps
 
     Args:
-        targets: one of ``models.lego.sampler.TARGETS``.
+        targets: one of ``mapdata.models.lego.sampler.TARGETS``.
         latent: number of elements of the latent.
         width: channels of the hidden layers.
         code: number of elements of the convolutional code of map, start and goal.
@@ -85,6 +89,8 @@ class CVAE(Sampler):
     """
 
     optimizer_class = torch.optim.Adam  # the published optimizer
+
+    PRETRAINED: ClassVar[Mapping[str, str]] = {"lego": "lego_cvae.pt"}
 
     def __init__(
         self,

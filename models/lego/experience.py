@@ -13,7 +13,7 @@ There are two kinds of targets:
 In the original, the sparse roadmap has 200 vertices. Here its size is that of the roadmaps that the
 sampler is for.
 
-    from models.lego.experience import FixedProblems
+    from mapdata.models.lego.experience import FixedProblems
 
     data = FixedProblems(
         None,
@@ -50,7 +50,8 @@ from mapdata.hashing import canonical_json
 from mapdata.movement import Movement
 from mapdata.problems import Pairs, Random, Route
 from mapdata.shards import write_output
-from models.lego.roadmap import build_roadmap, connection_radius, halton, roadmap_between
+
+from .roadmap import build_roadmap, connection_radius, halton, roadmap_between
 
 MINED_TARGETS = ("lego", "shortest_path")
 """Names of the targets, in the order in which `mine` returns them."""

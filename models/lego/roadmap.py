@@ -7,7 +7,7 @@ between cells is a path between their centres. Samplers are compared by the road
 points.
 
     from mapdata import Movement, ProblemSet
-    from models.lego.roadmap import halton, roadmap_between
+    from mapdata.models.lego.roadmap import halton, roadmap_between
 
     problems = ProblemSet.sample("dungeon", seed=77, maps=1, movement=Movement(8))
     grid, start, goal = problems.grids[0], problems.starts[0], problems.goals[0]

@@ -2,7 +2,7 @@
 
     import pytorch_lightning as pl
     from mapdata import MapDataModule
-    from models.lego.sampler import Heatmap
+    from mapdata.models import Heatmap
 
     data = MapDataModule("data/maps", build="paper", batch_size=40)  # map, start, goal, path
     model = Heatmap(targets="path")
@@ -13,11 +13,11 @@
 A model that is trained on paths samples where paths run. LEGO (Kumar, Mandalika, Choudhury,
 Srinivasa, "LEGO: Leveraging Experience in Roadmap Generation for Sampling-Based Planning", IROS
 2019) needs only the bottlenecks of paths, which a sparse roadmap cannot do without.
-``targets="lego"`` takes them from the bank of experience of `models.lego.experience.FixedProblems`,
-whose batches must have the fields ``TRAINING_FIELDS``. The weights that ship were trained in this
-way, by the commands in scripts/train_lego_sampler.py:
+``targets="lego"`` takes them from the bank of experience of
+`mapdata.models.lego.experience.FixedProblems`, whose batches must have the fields
+``TRAINING_FIELDS``. The weights that ship were trained in this way, by the commands in train.py:
 
-    points = Heatmap.load("models/weights/lego_heatmap.pt").sample(grid, start, goal, 25)
+    points = Heatmap.pretrained().sample(grid, start, goal, 25)
     roadmap = roadmap_between(grid, start, goal, points)  # of models/lego/roadmap.py
 
 This file reads from top to bottom: what the network sees; targets, training and sampling, which all
@@ -29,6 +29,8 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -40,11 +42,12 @@ from torch import Tensor, nn
 from mapdata import Sample, inflate
 from mapdata.arrays import Bytes, Floats, Ints
 from mapdata.checks import check_choice, check_count, check_resolution
-from models.geometry import cell_numbers, check_problems, offsets
-from models.layers import Trunk, padded
-from models.lego.experience import MINED_TARGETS, Bank, FixedProblems
-from models.model import Model, Tensors
-from models.symmetries import random_symmetry, restore_plane, transform_cells, transform_plane
+
+from ..geometry import cell_numbers, check_problems, offsets
+from ..layers import Trunk, padded
+from ..model import Model, Tensors
+from ..symmetries import random_symmetry, restore_plane, transform_cells, transform_plane
+from .experience import MINED_TARGETS, Bank, FixedProblems
 
 TRAINING_FIELDS = ("map", "start", "goal", "optimal_mask", "problem")
 """The fields for targets from a bank; `Heatmap` also learns from the cells of shortest paths."""
@@ -134,7 +137,8 @@ class Sampler(Model):
         if not isinstance(data, FixedProblems) or data.bank is None:
             raise ValueError(
                 f"targets: got {self.targets!r}, which need a bank of experience: expected data of "
-                "models.lego.experience.FixedProblems with a folder for it, or targets='path'"
+                "mapdata.models.lego.experience.FixedProblems with a folder for it, or "
+                "targets='path'"
             )
         self.bank = data.bank
 
@@ -159,7 +163,7 @@ class Sampler(Model):
         return self.loss(fields, points, owners)
 
     def validation_step(self, batch: Sample, batch_idx: int) -> None:
-        """Do nothing: the callback `models.lego.comparison.RoadmapSuccess` validates samplers."""
+        """Do nothing: the callback `RoadmapSuccess` of comparison.py validates samplers."""
 
     def sample(
         self,
@@ -238,6 +242,11 @@ class Heatmap(Sampler):
         views: number of symmetries of the map, 1 to 8, over which shares are averaged; the time of
             a prediction grows with it.
     """
+
+    PRETRAINED: ClassVar[Mapping[str, str]] = {
+        "lego": "lego_heatmap.pt",  # targets are the bottlenecks of paths
+        "shortest_path": "shortest_path_heatmap.pt",  # targets are the points of paths
+    }
 
     def __init__(
         self,

@@ -124,7 +124,7 @@ def test_build_and_info_print_the_same_summary(run: Command, tmp_path: Path) -> 
     assert built.code == 0
     assert "6/6" in built.err
     manifest = read_manifest(root)
-    assert (manifest.spec, manifest.seed, manifest.maps) == (MapSpec.preset("narrow"), 3, 6)
+    assert (manifest.generator, manifest.seed, manifest.maps) == (MapSpec.preset("narrow"), 3, 6)
     assert manifest.complete
     for text in (
         "6 of 64 x 64 cells in 2 shards",
@@ -324,9 +324,9 @@ def test_list_shows_every_preset(run: Command) -> None:
     """It shows the name, size, family and parameters, as a recipe has them."""
     lines = run("list").out.splitlines()
     assert [line.split()[0] for line in lines] == list(PRESETS)
-    for line, spec in zip(lines, PRESETS.values(), strict=True):
-        assert f" {spec.map_size[0]} x {spec.map_size[1]} " in line
-        assert f" {spec.description}" in line
+    for line, generator in zip(lines, PRESETS.values(), strict=True):
+        assert f" {generator.map_size[0]} x {generator.map_size[1]} " in line
+        assert f" {generator.description}" in line
     (dungeon,) = (line for line in lines if line.startswith("dungeon "))
     assert "rooms [8, 16]" in dungeon
     assert "map_size" not in dungeon
@@ -337,7 +337,7 @@ def test_build_takes_a_map_size_and_numbers_with_an_exponent(run: Command, tmp_p
     flags = ("--preset", "cave", "--map-size", "24x40", "--maps", "1e1", "--seed", "1.5E+1")
     assert run("build", tmp_path / "maps", *flags).code == 0
     manifest = read_manifest(tmp_path / "maps")
-    assert manifest.spec == replace(PRESETS["cave"], map_size=(24, 40))
+    assert manifest.generator == replace(PRESETS["cave"], map_size=(24, 40))
     assert (manifest.maps, manifest.seed) == (10, 15)
 
 
@@ -877,7 +877,7 @@ def test_the_script_has_a_default_root(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     root = tmp_path / "data" / "maps"
     manifest = read_manifest(root)
-    assert (manifest.spec, manifest.seed, manifest.maps, manifest.shard_size) == (
+    assert (manifest.generator, manifest.seed, manifest.maps, manifest.shard_size) == (
         MapSpec(),
         0,
         3,
@@ -902,13 +902,13 @@ def test_the_script_takes_a_root_and_the_flags(
     }
     cli.build_main(["there", *(text for flag in flags.items() for text in flag)])
     manifest = read_manifest(tmp_path / "there")
-    assert (manifest.spec, manifest.seed) == (MapSpec.preset("dungeon"), 9)
+    assert (manifest.generator, manifest.seed) == (MapSpec.preset("dungeon"), 9)
     assert (manifest.maps, manifest.shard_size) == (3, 2)
     write_module(tmp_path)
     cli.build_main(["halls", "--preset", "columns", "--maps", "2", "--import", "pillars"])
-    spec = read_manifest(tmp_path / "halls").spec
-    assert spec is not None
-    assert spec.name == "pillars"
+    generator = read_manifest(tmp_path / "halls").generator
+    assert generator is not None
+    assert generator.name == "pillars"
     forget("pillars", "columns")
 
 

@@ -858,7 +858,7 @@ def test_a_preset_is_built_by_its_name(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(builder, "as_recipe", lambda name, **_: as_recipe(name, maps=30))
     data = MapDataModule(str(tmp_path / "maps"), build="paper", batch_size=4)
     assert next(iter(data.test_dataloader())).map.shape[1:] == (1, 64, 64)
-    assert read_manifest(tmp_path / "maps").spec == MapSpec()
+    assert read_manifest(tmp_path / "maps").generator == MapSpec()
 
 
 def test_without_a_dataset_and_without_build(tmp_path: Path) -> None:

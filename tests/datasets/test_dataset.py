@@ -66,8 +66,8 @@ def roots(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """Datasets of 60 maps in four shards."""
     folder = tmp_path_factory.mktemp("dataset")
     return {
-        name: samples.build_small(folder / name, spec, maps=MAPS, seed=SEED)
-        for name, spec in SPECS.items()
+        name: samples.build_small(folder / name, generator, maps=MAPS, seed=SEED)
+        for name, generator in SPECS.items()
     }
 
 
@@ -375,9 +375,11 @@ def test_random_problems_depend_on_seed_epoch_and_number_alone(root: str) -> Non
 
 def test_random_problems_are_uniform() -> None:
     """Over many epochs on one open map, start and goal fall on each cell equally often."""
-    spec = MapSpec((4, 5), (2, 2), (4, 4), (5, 5), passage_width=(1, 1))
-    open_map = next(i for i in range(99) if not generate(spec, 0, [i]).occupancy.any())
-    dataset = OnlineMapDataset(spec, 0, open_map + 1, fields=("start", "goal"), problems="random")
+    generator = MapSpec((4, 5), (2, 2), (4, 4), (5, 5), passage_width=(1, 1))
+    open_map = next(i for i in range(99) if not generate(generator, 0, [i]).occupancy.any())
+    dataset = OnlineMapDataset(
+        generator, 0, open_map + 1, fields=("start", "goal"), problems="random"
+    )
     ends = [dataset.__getitems__([open_map + epoch * len(dataset)]).batch for epoch in range(4000)]
     for name in ("start", "goal"):
         cells = torch.cat([getattr(end, name) for end in ends])
@@ -765,17 +767,17 @@ def test_online_problems_change_with_the_epoch() -> None:
 
 def test_online_without_a_single_problem() -> None:
     """Maps of one cell have none: an error, not a search without end."""
-    spec = MapSpec((1, 1), (2, 3), (1, 1), (1, 1), passage_width=(1, 1))
+    generator = MapSpec((1, 1), (2, 3), (1, 1), (1, 1), passage_width=(1, 1))
     for problems in (Route(), Pairs(), Random()):
         with pytest.raises(ValueError, match=re.escape(f"problems={problems}: none on")):
-            OnlineMapDataset(spec, problems=problems)[0]
+            OnlineMapDataset(generator, problems=problems)[0]
 
 
 def test_online_unsolvable() -> None:
     """Pairs without a path stay when they are asked for."""
-    spec = replace(samples.SPEC, skip_probability=0.9)
+    generator = replace(samples.SPEC, skip_probability=0.9)
     batch = OnlineMapDataset(
-        spec, 1, 60, fields=("length", "cost", "path"), problems=Route(unsolvable=True)
+        generator, 1, 60, fields=("length", "cost", "path"), problems=Route(unsolvable=True)
     )[:]
     assert 0 < (batch.length == 0).sum() < 60
     assert ((batch.cost == -1) == (batch.length == 0)).all()

@@ -61,8 +61,8 @@ def roots(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """Datasets of 40 maps in three shards."""
     folder = tmp_path_factory.mktemp("radius")
     return {
-        name: samples.build_small(folder / name, spec, maps=MAPS, seed=SEED)
-        for name, spec in SPECS.items()
+        name: samples.build_small(folder / name, generator, maps=MAPS, seed=SEED)
+        for name, generator in SPECS.items()
     }
 
 

@@ -35,10 +35,10 @@ def front_matter(text: str) -> dict[str, object]:
     return dict(yaml.safe_load(matter))
 
 
-@pytest.mark.parametrize("spec", [SPEC, WIDE], ids=["small", "wide"])
-def test_the_card_rebuilds_the_dataset_bit_for_bit(tmp_path: Path, spec: MapSpec) -> None:
+@pytest.mark.parametrize("generator", [SPEC, WIDE], ids=["small", "wide"])
+def test_the_card_rebuilds_the_dataset_bit_for_bit(tmp_path: Path, generator: MapSpec) -> None:
     """The card rebuilds the dataset bit for bit."""
-    build(tmp_path / "it's mine", spec, maps=20, seed=2**64 - 1, shard_size=16, workers=1)
+    build(tmp_path / "it's mine", generator, maps=20, seed=2**64 - 1, shard_size=16, workers=1)
     text = card(tmp_path / "it's mine")
     (tmp_path / "again").mkdir()
     run = f"{sys.executable} -c 'from mapdata.cli import main; main()' build"

@@ -24,10 +24,10 @@ def all_labels(root: str) -> list[Labels]:
     return list(Root.open(root).labels())
 
 
-@pytest.mark.parametrize("spec", [SPEC, WIDE], ids=["4", "8"])
-def test_statistics_count_what_a_loop_counts(tmp_path: Path, spec: MapSpec) -> None:
+@pytest.mark.parametrize("generator", [SPEC, WIDE], ids=["4", "8"])
+def test_statistics_count_what_a_loop_counts(tmp_path: Path, generator: MapSpec) -> None:
     """Every value of a map and of a segment is that of a loop over the labels."""
-    root = build_small(tmp_path / "d", spec)
+    root = build_small(tmp_path / "d", generator)
     statistics = dataset_statistics(root)
     at = 0  # the map among all maps
     first = 0  # its first segment among all segments
@@ -59,10 +59,10 @@ def test_statistics_count_what_a_loop_counts(tmp_path: Path, spec: MapSpec) -> N
     assert statistics.rooms_known
 
 
-@pytest.mark.parametrize("spec", [SPEC, WIDE], ids=["4", "8"])
-def test_hardness_is_that_of_the_served_problems(tmp_path: Path, spec: MapSpec) -> None:
+@pytest.mark.parametrize("generator", [SPEC, WIDE], ids=["4", "8"])
+def test_hardness_is_that_of_the_served_problems(tmp_path: Path, generator: MapSpec) -> None:
     """Hardness is that of the problems that `MapDataset` serves."""
-    root = build_small(tmp_path / "d", spec)
+    root = build_small(tmp_path / "d", generator)
     statistics = dataset_statistics(root)
     problems = Route(unsolvable=True)
     served = MapDataset(root, split=None, fields=("hardness",), problems=problems)
@@ -143,9 +143,9 @@ def test_repeats_equal_those_of_all_pairs(tmp_path: Path, size: tuple[int, int])
 
 def test_generated_maps_repeat_only_where_they_are_tiny(tmp_path: Path) -> None:
     """Of maps of nine cells some repeat: as many as a set of them is smaller."""
-    spec = MapSpec((3, 3), (2, 2), (1, 3), (1, 3), passage_width=(1, 1))
-    statistics = dataset_statistics(build_small(tmp_path / "d", spec, maps=200), repeats=True)
-    grids = generate(spec, 5, range(200)).occupancy
+    generator = MapSpec((3, 3), (2, 2), (1, 3), (1, 3), passage_width=(1, 1))
+    statistics = dataset_statistics(build_small(tmp_path / "d", generator, maps=200), repeats=True)
+    grids = generate(generator, 5, range(200)).occupancy
     for code, name in enumerate(SPLITS):
         texts = [grid.tobytes() for grid in grids[statistics.split == code]]
         assert statistics.repeats[0].inside[name] == len(texts) - len(set(texts))

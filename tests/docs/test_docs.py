@@ -95,15 +95,29 @@ def test_what_cannot_run_is_no_block(tmp_path: Path, monkeypatch: pytest.MonkeyP
             pages.run(page)
 
 
-def test_pages_that_use_the_models_say_what_to_install() -> None:
-    """The extra is in this environment, so that running their blocks would not tell."""
+def test_pages_that_use_the_samplers_say_what_to_install() -> None:
+    """Scipy is in this environment, so that running their blocks would not tell."""
     users = []
     for page in [ROOT / "README.md", *DOCS.rglob("*.md")]:
         text = page.read_text(encoding="utf-8")
-        if re.search(r"^ *(from|import) models|^ {4}python scripts/(train|evaluate)", text, re.M):
+        imported = r"^ *from mapdata\.models\b.*(lego|Heatmap|CVAE|Sampler)"
+        command = r"^ {4}python -m mapdata\.models\.(train lego|evaluate samplers)"
+        if re.search(f"{imported}|{command}", text, re.MULTILINE):
             users.append(page.name)
-            assert ".[examples]" in text, page
-    assert {"tutorial.md", "planners.md", "families.md"} <= set(users)
+            assert re.search("pip install .*scipy", text), page
+    assert {"ompl.md", "samplers.md"} <= set(users)
+
+
+def test_pages_use_the_models_without_a_checkout() -> None:
+    """They import `mapdata.models`, and run its commands in place of the scripts."""
+    users = []
+    for page in [ROOT / "README.md", *DOCS.rglob("*.md")]:
+        text = page.read_text(encoding="utf-8")
+        assert not re.search(r"^ *(from|import) models\b|/weights/", text, re.MULTILINE), page
+        assert not re.search(r"python scripts/(train|evaluate)", text), page
+        if "mapdata.models" in text:
+            users.append(page.name)
+    assert {"tutorial.md", "planners.md", "samplers.md", "robot.md", "ompl.md"} <= set(users)
 
 
 def test_the_table_of_fields_is_complete() -> None:

@@ -86,7 +86,7 @@ def test_the_recipe_of_ones_own_is_one() -> None:
     """A recipe needs only what differs from the defaults."""
     (text,) = (block.text for block in BLOCKS if block.language == "json")
     recipe = as_recipe(text)
-    assert (recipe.spec.map_size, recipe.spec.movement.connectivity, recipe.maps) == (
+    assert (recipe.generator.map_size, recipe.generator.movement.connectivity, recipe.maps) == (
         (48, 96),
         8,
         500,
@@ -97,16 +97,18 @@ def test_table_of_presets() -> None:
     """The table has every preset, with its limits."""
     page = (DOCS / "words.md").read_text(encoding="utf-8")
     rows = dict(re.findall(r"^\| `(\w+)` \| (\d.*?) \| [^|]*\|$", page, re.MULTILINE))
-    assert rows == {
-        name: f"{spec.map_size[0]} x {spec.map_size[1]} | {spec.rooms[0]}-{spec.rooms[1]} | "
-        f"{spec.room_rows[0]}-{spec.room_rows[1]} | {spec.passage_width[0]}-{spec.passage_width[1]}"
-        for name, spec in PRESETS.items()
-        if isinstance(spec, MapSpec)
-    }
+    expected = {}
+    for name, generator in PRESETS.items():
+        if isinstance(generator, MapSpec):
+            rows_and_columns = " x ".join(map(str, generator.map_size))
+            ranges = (generator.rooms, generator.room_rows, generator.passage_width)
+            texts = [f"{low}-{high}" for low, high in ranges]
+            expected[name] = " | ".join([rows_and_columns, *texts])
+    assert rows == expected
     assert all(
-        spec.room_rows == spec.room_columns
-        for spec in PRESETS.values()
-        if isinstance(spec, MapSpec)
+        generator.room_rows == generator.room_columns
+        for generator in PRESETS.values()
+        if isinstance(generator, MapSpec)
     )
 
 

@@ -40,6 +40,11 @@ def files(root: Path, *folders: str) -> set[str]:
     return {str(path.relative_to(root)) for path in found if "__pycache__" not in path.parts}
 
 
+def models() -> set[str]:
+    """Return the files of the models under their names in the package."""
+    return {f"mapdata/{name}" for name in files(ROOT, "models")}
+
+
 @pytest.fixture(scope="module")
 def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of an sdist and of the wheel built from it, in a copy of the sources."""
@@ -53,7 +58,8 @@ def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
             and path.name not in UNRELEASED_FOLDERS
             and not path.name.endswith(("_cache", ".egg-info"))
         ):
-            shutil.copytree(path, copy / path.name, ignore=shutil.ignore_patterns("__pycache__"))
+            ignore = shutil.ignore_patterns("__pycache__")
+            shutil.copytree(path, copy / path.name, ignore=ignore, symlinks=True)
         elif path.is_file():
             shutil.copy(path, copy)
     command = [sys.executable, "-m", "build", "--no-isolation", "--skip-dependency-check"]
@@ -67,8 +73,11 @@ def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_the_wheel_holds_mapdata_only(dist: Path) -> None:
-    """Every file of the package, and nothing else but what pip needs."""
+    """Every file of the package, the models and their weights among them, and nothing else but
+    what pip needs. It is small enough for an e-mail.
+    """
     (wheel,) = dist.glob("*.whl")
+    assert wheel.stat().st_size < 20_000_000
     assert wheel.name == f"mapdata_torch-{mapdata.__version__}-py3-none-any.whl"
     about = f"mapdata_torch-{mapdata.__version__}.dist-info"
     with zipfile.ZipFile(wheel) as archive:
@@ -76,7 +85,7 @@ def test_the_wheel_holds_mapdata_only(dist: Path) -> None:
         said = message_from_bytes(archive.read(f"{about}/METADATA"))
     assert {name.partition("/")[0] for name in names} == {"mapdata", about}
     info = {name for name in names if name.startswith(f"{about}/")}
-    assert names - info == files(ROOT, "mapdata")
+    assert names - info == files(ROOT, "mapdata") | models()
     assert any(name.endswith("LICENSE") for name in info)
     assert (said["Name"], said["Version"]) == ("mapdata-torch", mapdata.__version__)
 
@@ -114,13 +123,16 @@ def test_the_newest_dependencies_are_tried_each_week() -> None:
 
 @pytest.mark.slow
 def test_the_sdist_holds_what_the_tests_need(dist: Path) -> None:
-    """All folders as they are, and what the tests read at the top."""
+    """All folders as they are, and what the tests read at the top. The models are there once, in
+    the package, where git has a link to them.
+    """
     (sdist,) = dist.glob("*.tar.gz")
     with tarfile.open(sdist) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
-    wanted = files(
-        ROOT, ".ci", ".github", "benchmarks", "docs", "mapdata", "models", "scripts", "tests"
-    )
+    wanted = files(ROOT, ".ci", ".github", "benchmarks", "docs", "mapdata", "scripts", "tests")
+    wanted |= models()
+    assert sdist.stat().st_size < 25_000_000
+    assert not [name for name in names if name.startswith("models/")]
     wanted |= {
         path.name
         for path in ROOT.glob("*.*")
@@ -146,6 +158,17 @@ for verb in verbs:
         main(verb.split())
     except SystemExit as stop:
         assert not stop.code, verb
+sys.modules["scipy"] = None  # the planners do without it
+from mapdata.models import PathPredictor
+for name in PathPredictor.PRETRAINED:
+    path = PathPredictor.pretrained(name).predict_path([[0, 0], [1, 0], [0, 0]], (0, 0), (2, 0))
+    assert path[0].tolist() == [0, 0] and path[-1].tolist() == [2, 0], path
+del sys.modules["scipy"]
+from mapdata import models
+for name in models.__all__:
+    for weights in getattr(getattr(models, name), "PRETRAINED", ()):
+        getattr(models, name).pretrained(weights)
+from mapdata.models import evaluate, train
 packages = ("mapdata", "models", "scripts")
 ours = [module for name, module in sys.modules.items() if name.split(".")[0] in packages]
 assert not [module.__file__ for module in ours if not module.__file__.startswith(site)]
@@ -176,8 +199,8 @@ assert not [module.__file__ for module in ours if not module.__file__.startswith
 def test_the_wheel_works_outside_the_checkout(
     verbs: tuple[str, ...], dist: Path, tmp_path: Path
 ) -> None:
-    """Unpacked elsewhere all public names are there and the command runs; nothing comes from the
-    checkout.
+    """Unpacked elsewhere all public names are there, all weights load and the command runs;
+    nothing comes from the checkout.
     """
     (wheel,) = dist.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:

@@ -19,7 +19,7 @@ from PIL import Image
 
 from mapdata import Forest, Movement, ProblemSet, astar, check_path, inflate
 from mapdata.formats import read_any
-from models.path_predictor import PathPredictor
+from mapdata.models.path_predictor import PathPredictor
 
 PAGE = DOCS / "howto" / "robot.md"
 MISSING = [name for name in ("onnxruntime", "onnxscript") if not importlib.util.find_spec(name)]
@@ -68,7 +68,7 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
 
 def test_the_plan_is_that_of_torch(robot: dict[str, Any]) -> None:
     """The exported network says what torch's says, and its path is legal, from end to end."""
-    model = PathPredictor.load(ROOT / "models" / "weights" / "path_predictor.pt")
+    model = PathPredictor.pretrained()
     blocked = robot["blocked"]
     with torch.no_grad():
         scores, ratios = model(torch.from_numpy(blocked)[None, None], torch.tensor([robot["goal"]]))
@@ -84,7 +84,7 @@ def test_the_plan_is_that_of_torch(robot: dict[str, Any]) -> None:
 @pytest.mark.parametrize("shape", [(8, 8), (45, 69), (130, 70)])
 def test_maps_of_any_size(robot: dict[str, Any], shape: tuple[int, int]) -> None:
     """Several maps at once, of sides that are no multiples of 16."""
-    model = PathPredictor.load(ROOT / "models" / "weights" / "path_predictor.pt")
+    model = PathPredictor.pretrained()
     source = np.random.default_rng(0)
     blocked = (source.random((3, 1, *shape)) < 0.2).astype(np.uint8)
     goals = source.integers(8, size=(3, 2))

@@ -169,11 +169,11 @@ def test_maps_that_the_format_cannot_hold_are_refused(tmp_path: Path) -> None:
     """Refused are maps that are not square and diagonal moves; a CSV of another format cannot be
     read.
     """
-    for name, spec in (
+    for name, generator in (
         ("wide", MapSpec((20, 31), room_rows=(3, 5), room_columns=(3, 5), passage_width=(1, 2))),
         ("diagonal", Maze((9, 9), seed_points=2, movement=Movement(8))),
     ):
-        build(tmp_path / name, spec, maps=3)
+        build(tmp_path / name, generator, maps=3)
         with pytest.raises(ValueError, match="expected square maps and 4-connected paths"):
             export(tmp_path / name, tmp_path / f"{name}-out", "maze-hard")
     (tmp_path / "other.csv").write_text("a,b\n1,2\n")

@@ -48,15 +48,15 @@ def release(root: Path, tmp_path: Path) -> Path:
 
 @settings(SETTINGS, max_examples=12)
 @given(specs(), st.integers(0, 2**64 - 1), st.integers(1, 4))
-def test_round_trip(spec: MapSpec, seed: int, count: int) -> None:
+def test_round_trip(generator: MapSpec, seed: int, count: int) -> None:
     """For any generator the content hash comes back, so all labels do, and no label disagrees."""
     with tempfile.TemporaryDirectory() as folder:
-        before = build(Path(folder, "a"), spec, maps=count, seed=seed, shard_size=3)
+        before = build(Path(folder, "a"), generator, maps=count, seed=seed, shard_size=3)
         export(Path(folder, "a"), Path(folder, "b"), "paper")
         (dataset,) = import_maps(Path(folder, "c"), read_any(Path(folder, "b")))
         assert dataset.manifest.content_hash == before.content_hash
-        assert dataset.manifest.resolution == spec.resolution
-        assert dataset.manifest.movement == spec.movement
+        assert dataset.manifest.resolution == generator.resolution
+        assert dataset.manifest.movement == generator.movement
         assert (dataset.checked, dataset.disagreements) == (count, {})
         assert verify(Path(folder, "c")) == []
 

@@ -24,10 +24,10 @@ def forests(draw: st.DrawFn) -> Forest:
 
 @settings(max_examples=100)
 @given(forests(), st.integers(0, 2**64 - 1), st.integers(0, 2**63 - 1))
-def test_any_forest_equals_the_reference(spec: Forest, seed: int, index: int) -> None:
+def test_any_forest_equals_the_reference(generator: Forest, seed: int, index: int) -> None:
     """For all sizes, densities and obstacles; the seed points are free."""
-    maps = generate(spec, seed, [index])
-    assert maps.occupancy[0].tolist() == reference_forest(spec, seed, index)
+    maps = generate(generator, seed, [index])
+    assert maps.occupancy[0].tolist() == reference_forest(generator, seed, index)
     points = maps.seed_points[0, : maps.rooms[0]]
     assert (maps.occupancy[0][tuple(points.T)] == 0).all()
 
@@ -46,8 +46,8 @@ def test_cover_is_uniform_in_its_range() -> None:
 
 def test_obstacles_are_discs_and_boxes() -> None:
     """Alone on a map an obstacle of 9 is a square of 81 cells, or the 69 whose middles it holds."""
-    spec = Forest(cover=(1 / 4096, 1 / 4096), sizes=(9, 9))
-    counts = generate(spec, 5, range(400)).occupancy.sum(axis=(1, 2), dtype=int)
+    generator = Forest(cover=(1 / 4096, 1 / 4096), sizes=(9, 9))
+    counts = generate(generator, 5, range(400)).occupancy.sum(axis=(1, 2), dtype=int)
     radius = np.arange(9) - 4
     disc = int((np.hypot(radius, radius[:, None]) <= 4.5).sum())
     inside = counts[counts >= disc - 1]  # others are clipped at the border

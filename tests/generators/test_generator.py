@@ -64,7 +64,7 @@ class Stripes(MapGenerator):
     splits: tuple[float, float, float] = (0.8, 0.1, 0.1)
 
     @property
-    def most_seed_points(self) -> int:
+    def max_seed_points(self) -> int:
         """Three."""
         return 3
 
@@ -85,13 +85,13 @@ def stripes() -> Iterator[type[Stripes]]:
 
 def test_a_family_of_ones_own_is_built_and_verified(stripes: type[Stripes], tmp_path: Path) -> None:
     """Registered, it is known to recipes, manifests and shards."""
-    spec = MapGenerator.preset("striped")
-    manifest = build(tmp_path / "maps", spec, maps=5, seed=2, shard_size=3)
+    generator = MapGenerator.preset("striped")
+    manifest = build(tmp_path / "maps", generator, maps=5, seed=2, shard_size=3)
     assert verify(tmp_path / "maps") == []
     assert json.loads(manifest.recipe())["spec"]["generator"] == "stripes"
     assert MapGenerator.from_dict({"generator": "stripes", "every": 3}) == stripes(every=3)
     maps = read_shard(tmp_path / "maps" / manifest.shards[0].name).maps
-    np.testing.assert_array_equal(maps.occupancy, generate(spec, 2, range(3)).occupancy)
+    np.testing.assert_array_equal(maps.occupancy, generate(generator, 2, range(3)).occupancy)
 
 
 @pytest.mark.parametrize(
@@ -315,7 +315,7 @@ def test_registering_refuses_what_cannot_work() -> None:
         """It can be made, but nothing says what it is called."""
 
         @property
-        def most_seed_points(self) -> int:
+        def max_seed_points(self) -> int:
             return 2
 
         def draw(self, seed: int, indices: Ints) -> Maps:
@@ -328,7 +328,7 @@ def test_registering_refuses_what_cannot_work() -> None:
         name: ClassVar[str] = "unfinished"
 
     for family in (Nameless, Unfinished):
-        with pytest.raises(ValueError, match="dataclass with name, most_seed_points and draw"):
+        with pytest.raises(ValueError, match="dataclass with name, max_seed_points and draw"):
             register(family)
     assert "unfinished" not in GENERATORS
 
@@ -385,9 +385,9 @@ def test_a_spec_is_read_from_any_mapping() -> None:
     """With mappings in it; what is kept are plain values, and so the identity is the same."""
     movement = MappingProxyType({"connectivity": 8})
     values = {"map_size": UserList([40, 50]), "cover": UserList([0.1, 0.2]), "movement": movement}
-    spec = MapGenerator.from_dict(MappingProxyType({"generator": "forest", **values}))
-    assert spec == Forest((40, 50), cover=(0.1, 0.2), movement=Movement(8))
-    assert identity(spec, 3) == identity(
+    generator = MapGenerator.from_dict(MappingProxyType({"generator": "forest", **values}))
+    assert generator == Forest((40, 50), cover=(0.1, 0.2), movement=Movement(8))
+    assert identity(generator, 3) == identity(
         Forest((40, 50), cover=(0.1, 0.2), movement=Movement(8)), 3
     )
 
@@ -406,26 +406,26 @@ GOLDEN: dict[MapGenerator, tuple[str, str]] = {
 """Identity and content hash of maps 0 .. 29 with seed 7."""
 
 
-@pytest.mark.parametrize("spec", GOLDEN, ids=lambda spec: spec.name)
+@pytest.mark.parametrize("generator", GOLDEN, ids=lambda generator: generator.name)
 def test_a_family_is_a_dataset_like_any_other(
-    spec: MapGenerator, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    generator: MapGenerator, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Golden hashes, that the page tells too; recipes, all fields, online maps, every verb."""
     root = tmp_path / "maps"
-    manifest = build(root, spec, maps=30, seed=7, shard_size=12)
+    manifest = build(root, generator, maps=30, seed=7, shard_size=12)
     page = (Path(__file__).parents[2] / "docs" / "format.md").read_text(encoding="utf-8")
-    assert (manifest.identity, manifest.content_hash) == GOLDEN[spec]
-    assert all(f"`{value}`" in page for value in GOLDEN[spec])
+    assert (manifest.identity, manifest.content_hash) == GOLDEN[generator]
+    assert all(f"`{value}`" in page for value in GOLDEN[generator])
     recipe = as_recipe(manifest.recipe())
-    assert (recipe.spec, recipe.seed, recipe.maps) == (spec, 7, 30)
+    assert (recipe.generator, recipe.seed, recipe.maps) == (generator, 7, 30)
     for problems in ("route", "random"):
         batch = MapDataset(root, "train", ALL_FIELDS, problems=problems)[:]
         assert batch.map.shape[1:] == (1, 20, 31)
         assert (batch.cost > 0).all()
     fields = ("map", "start", "goal", "path")
     stored = MapDataset(root, None, fields, problems="random")[:]
-    assert_same(stored, OnlineMapDataset(spec, 7, 30, fields=fields, problems="random")[:])
-    assert len(ProblemSet.sample(spec, seed=3, maps=5, movement=Movement(8))) == 5
+    assert_same(stored, OnlineMapDataset(generator, 7, 30, fields=fields, problems="random")[:])
+    assert len(ProblemSet.sample(generator, seed=3, maps=5, movement=Movement(8))) == 5
     for line in (
         f"info {root}",
         f"verify {root}",
@@ -441,8 +441,8 @@ def test_a_family_is_a_dataset_like_any_other(
 
 def test_maps_without_room_for_seed_points() -> None:
     """Maps of one or two cells have what fits, and labels."""
-    for spec in (Cave((1, 1)), Cave((4, 5), occupied=1.0), Forest((1, 2), (0.5, 0.5), (1, 1))):
-        maps = generate(spec, 1, range(50))
+    for generator in (Cave((1, 1)), Cave((4, 5), occupied=1.0), Forest((1, 2), (0.5, 0.5), (1, 1))):
+        maps = generate(generator, 1, range(50))
         labels = label(maps)
         assert 1 <= maps.rooms.min() <= maps.rooms.max() <= 2
         assert labels.all_connected.all()

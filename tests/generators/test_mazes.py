@@ -52,18 +52,18 @@ def mazes(draw: st.DrawFn) -> Maze:
 
 @SETTINGS
 @given(mazes(), st.integers(0, 2**64 - 1), st.integers(0, 2**63 - 1))
-def test_any_maze_equals_the_reference(spec: Maze, seed: int, index: int) -> None:
+def test_any_maze_equals_the_reference(generator: Maze, seed: int, index: int) -> None:
     """Grid, seed points and split, for all widths, sizes that the lattice does not fill, large
     seeds and indices.
     """
-    maps = generate(spec, seed, [index])
-    grid = reference_maze(spec, seed, index)
+    maps = generate(generator, seed, [index])
+    grid = reference_maze(generator, seed, index)
     free = [(int(row), int(column)) for row, column in np.argwhere(np.array(grid) == 0)]
     assert maps.occupancy[0].tolist() == grid
-    points = reference_points(free, seed, index, spec.seed_points)
+    points = reference_points(free, seed, index, generator.seed_points)
     assert maps.seed_points[0].tolist() == [list(cell) for cell in points]
-    assert len(set(points)) == spec.seed_points == maps.rooms[0]
-    assert maps.split[0] == reference_split(spec, seed, index)
+    assert len(set(points)) == generator.seed_points == maps.rooms[0]
+    assert maps.split[0] == reference_split(generator, seed, index)
     assert (maps.sizes == -1).all()
     assert (maps.directions == -1).all()
     assert (maps.passage_width == -1).all()
@@ -72,10 +72,10 @@ def test_any_maze_equals_the_reference(spec: Maze, seed: int, index: int) -> Non
 @pytest.mark.parametrize(("corridor", "wall"), [(1, 1), (3, 2)])
 def test_perfect_mazes_are_trees(corridor: int, wall: int) -> None:
     """All cells are joined, by one way only: as many open walls as cells less one."""
-    spec = Maze((60, 45), corridor, wall)
+    generator = Maze((60, 45), corridor, wall)
     pitch = corridor + wall
     cells = ((60 - wall) // pitch) * ((45 - wall) // pitch)
-    for grid in generate(spec, 11, range(20)).occupancy:
+    for grid in generate(generator, 11, range(20)).occupancy:
         assert ndimage.label(grid == 0)[1] == 1
         assert (grid == 0).sum() == cells * corridor**2 + (cells - 1) * corridor * wall
 
@@ -161,8 +161,10 @@ def test_recipes_say_the_generator(root: Path, tmp_path: Path) -> None:
     text = read_manifest(root).recipe()
     assert json.loads(text)["spec"]["generator"] == "maze"
     recipe = as_recipe(text)
-    assert recipe.spec == SPEC
-    again = build(tmp_path / "again", recipe.spec, maps=recipe.maps, seed=recipe.seed, shard_size=7)
+    assert recipe.generator == SPEC
+    again = build(
+        tmp_path / "again", recipe.generator, maps=recipe.maps, seed=recipe.seed, shard_size=7
+    )
     assert again.content_hash == recipe.content_hash
     assert as_recipe('{"spec": "maze", "seed": 7}') == Recipe(Maze(), 7)
 

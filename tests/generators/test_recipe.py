@@ -37,12 +37,12 @@ FORMS: dict[str, Callable[[str], RecipeLike]] = {
     "path of a file": Path,
     "text": lambda file: Path(file).read_text(encoding="utf-8"),
     "mapping": lambda file: RECIPE.to_dict(),
-    "generator": lambda file: RECIPE.spec,
+    "generator": lambda file: RECIPE.generator,
     "recipe": lambda file: RECIPE,
 }
 """The accepted forms, each made from the name of the recipe file."""
 
-EXPECTED = {"preset": Recipe(Maze()), "generator": Recipe(RECIPE.spec)}
+EXPECTED = {"preset": Recipe(Maze()), "generator": Recipe(RECIPE.generator)}
 """What a form stands for that is not `RECIPE`."""
 
 
@@ -69,7 +69,7 @@ def module_maps(recipe: RecipeLike, root: Path) -> Bytes:
     module.setup("test")
     (dataset,) = module.datasets.values()
     assert isinstance(dataset, OnlineMapDataset)
-    return generate(dataset.spec, dataset.seed, range(6)).occupancy
+    return generate(dataset.generator, dataset.seed, range(6)).occupancy
 
 
 def sampled_maps(recipe: RecipeLike, root: Path) -> Bytes:
@@ -94,7 +94,7 @@ def test_every_function_accepts_every_form(
 ) -> None:
     """All of them give the maps of the generator and seed that the form stands for."""
     expected = EXPECTED.get(form, RECIPE)
-    maps = expected.spec.draw(expected.seed, generate("maze", indices=range(6)).index)
+    maps = expected.generator.draw(expected.seed, generate("maze", indices=range(6)).index)
     assert (maps_of(FORMS[form](file), tmp_path / "maps") == maps.occupancy).all()
 
 
@@ -119,7 +119,7 @@ def test_without_numbers_the_maps_are_those_of_the_recipe(tmp_path: Path) -> Non
     assert len(ProblemSet.sample(RECIPE, movement=Movement(), problems=Random())) == 6
     longer = OnlineMapDataset(RECIPE, seed=8, length=9)
     assert (longer.seed, len(longer)) == (8, 9)
-    assert (generate(RECIPE, 8, [3]).packed == generate(RECIPE.spec, 8, [3]).packed).all()
+    assert (generate(RECIPE, 8, [3]).packed == generate(RECIPE.generator, 8, [3]).packed).all()
     module = MapDataModule(str(tmp_path / "module"), build=RECIPE, batch_size=2)
     assert next(iter(module.train_dataloader())).map.shape[1:] == (1, 16, 12)
     assert read_manifest(tmp_path / "module").content_hash == manifest.content_hash
@@ -127,18 +127,18 @@ def test_without_numbers_the_maps_are_those_of_the_recipe(tmp_path: Path) -> Non
 
 def test_an_override_drops_the_content_hash() -> None:
     """The hash is that of one seed and one number of maps; naming these changes nothing."""
-    recipe = Recipe(RECIPE.spec, 5, 6, content_hash="0" * 64)
+    recipe = Recipe(RECIPE.generator, 5, 6, content_hash="0" * 64)
     assert as_recipe(recipe, seed=5, maps=6) is recipe
-    assert as_recipe(recipe, seed=4) == Recipe(RECIPE.spec, 4, 6)
-    assert as_recipe(recipe, maps=7) == Recipe(RECIPE.spec, 5, 7)
+    assert as_recipe(recipe, seed=4) == Recipe(RECIPE.generator, 4, 6)
+    assert as_recipe(recipe, maps=7) == Recipe(RECIPE.generator, 5, 7)
 
 
 def test_build_compares_the_content_hash(tmp_path: Path) -> None:
     """Of exactly the maps that the recipe states, and only when all of them are there."""
     content_hash = build(tmp_path / "maps", RECIPE, workers=1).content_hash
-    sound = Recipe(RECIPE.spec, 5, 6, content_hash)
+    sound = Recipe(RECIPE.generator, 5, 6, content_hash)
     assert build(tmp_path / "again", sound, workers=1).content_hash == content_hash
-    edited = Recipe(RECIPE.spec, 5, 6, "0" * 64)
+    edited = Recipe(RECIPE.generator, 5, 6, "0" * 64)
     with pytest.raises(ShardError, match=f"content hash {content_hash}, the recipe says 0000"):
         build(tmp_path / "edited", edited, workers=1)
     assert build(tmp_path / "more", edited, maps=7, workers=1).complete
@@ -196,8 +196,8 @@ def test_the_command_builds_every_form_of_text(file: str, tmp_path: Path) -> Non
     for k, text in enumerate((file, json.dumps(RECIPE.to_dict()), "maze")):
         main(["build", str(tmp_path / str(k)), "--recipe", text, "--maps", "3"])
     manifests = [read_manifest(tmp_path / str(k)) for k in range(3)]
-    assert [(manifest.spec, manifest.seed) for manifest in manifests] == [
-        (RECIPE.spec, 5),
-        (RECIPE.spec, 5),
+    assert [(manifest.generator, manifest.seed) for manifest in manifests] == [
+        (RECIPE.generator, 5),
+        (RECIPE.generator, 5),
         (Maze(), 0),
     ]

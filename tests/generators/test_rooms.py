@@ -29,11 +29,11 @@ def padded(pairs: Sequence[tuple[int, int]], rows: int) -> npt.NDArray[np.int64]
     return np.array([*pairs, *[(-1, -1)] * (rows - len(pairs))], dtype=np.int64).reshape(rows, 2)
 
 
-def assert_equals_reference(maps: Maps, place: int, spec: MapSpec, seed: int) -> None:
+def assert_equals_reference(maps: Maps, place: int, generator: MapSpec, seed: int) -> None:
     """Compare every field of the batch's map at this place with the reference."""
     index = int(maps.index[place])
-    expected = reference_map(spec, seed, index)
-    most = spec.rooms[1]
+    expected = reference_map(generator, seed, index)
+    most = generator.rooms[1]
     np.testing.assert_array_equal(maps.occupancy[place], expected.occupancy)
     assert maps.rooms[place] == len(expected.seed_points)
     assert maps.passage_width[place] == expected.passage_width
@@ -54,31 +54,31 @@ def assert_equals_reference(maps: Maps, place: int, spec: MapSpec, seed: int) ->
     st.integers(0, 2**64 - 1),
     st.lists(st.integers(0, 1000) | st.integers(0, 2**63 - 1), max_size=4),
 )
-def test_any_spec_equals_the_reference(spec: MapSpec, seed: int, indices: list[int]) -> None:
+def test_any_spec_equals_the_reference(generator: MapSpec, seed: int, indices: list[int]) -> None:
     """Every field of every map, for odd sizes, single rows, wide maps, rooms as large as the map,
     skip 0 and 1.
     """
-    maps = generate(spec, seed, indices)
+    maps = generate(generator, seed, indices)
     assert maps.index.tolist() == indices
-    assert maps.movement == spec.movement
+    assert maps.movement == generator.movement
     for place in range(len(indices)):
-        assert_equals_reference(maps, place, spec, seed)
+        assert_equals_reference(maps, place, generator, seed)
 
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_presets_equal_the_reference(name: str) -> None:
     """A hundred maps of each preset."""
-    spec = MapSpec.preset(name)
-    maps = generate(spec, 2**63 + 11, range(100))
+    generator = MapSpec.preset(name)
+    maps = generate(generator, 2**63 + 11, range(100))
     for place in range(100):
-        assert_equals_reference(maps, place, spec, 2**63 + 11)
+        assert_equals_reference(maps, place, generator, 2**63 + 11)
 
 
 @pytest.mark.parametrize("count", [0, 3])
 def test_shapes_and_types(count: int) -> None:
     """Arrays have the documented shapes and types, an empty batch included."""
-    spec = MapSpec(map_size=(40, 70), movement=Movement(8))
-    maps = generate(spec, 1, range(count))
+    generator = MapSpec(map_size=(40, 70), movement=Movement(8))
+    maps = generate(generator, 1, range(count))
     expected = {
         "index": ((count,), np.int64),
         "occupancy": ((count, 40, 70), np.uint8),
@@ -100,16 +100,16 @@ def test_shapes_and_types(count: int) -> None:
 
 def test_a_map_does_not_depend_on_its_batch() -> None:
     """Whatever the batch, its order, repeats, and the form of the indices: map i is map i."""
-    spec = MapSpec.preset("dungeon")
+    generator = MapSpec.preset("dungeon")
     indices = np.array([5, 0, 2**40 + 3, 5, 17, 1])
-    together = generate(spec, 9, indices)
+    together = generate(generator, 9, indices)
     for order in ([2, 1, 0, 5, 4, 3], [3, 3, 4], [1]):
-        again = generate(spec, 9, indices[order].tolist())
+        again = generate(generator, 9, indices[order].tolist())
         for name in FIELDS:
             np.testing.assert_array_equal(
                 getattr(again, name), getattr(together, name)[order], err_msg=name
             )
-    strided = generate(spec, 9, np.repeat(indices, 2)[::2])
+    strided = generate(generator, 9, np.repeat(indices, 2)[::2])
     np.testing.assert_array_equal(strided.occupancy, together.occupancy)
 
 
@@ -241,8 +241,10 @@ def test_a_probability_is_a_sharp_integer_threshold() -> None:
     split = block(5, 9, 0, 2, 0)[0]
     for more, happens in ((0, False), (1, True)):
         train = (split + more) / 2**32
-        spec = MapSpec(skip_probability=(skip + more) / 2**32, splits=(train, 0.0, 1.0 - train))
-        maps = generate(spec, 5, [9])
+        generator = MapSpec(
+            skip_probability=(skip + more) / 2**32, splits=(train, 0.0, 1.0 - train)
+        )
+        maps = generate(generator, 5, [9])
         assert maps.connected[0, 0] != happens
         assert maps.split[0] == (0 if happens else 2)
 
@@ -291,8 +293,8 @@ def test_rooms_do_not_wrap_round_the_border() -> None:
     """Without passages a cell is free exactly when its coordinates lie in some room: no slice, no
     wrap.
     """
-    spec = MapSpec(skip_probability=1.0, map_size=(33, 70))
-    maps = generate(spec, 12, range(500))
+    generator = MapSpec(skip_probability=1.0, map_size=(33, 70))
+    maps = generate(generator, 12, range(500))
     row, column = np.ogrid[:33, :70]
     clipped = 0
     for place in range(500):
@@ -310,10 +312,10 @@ def test_rooms_do_not_wrap_round_the_border() -> None:
 
 def test_metadata_keep_the_drawn_sizes() -> None:
     """A room that the border clips keeps its drawn rows and columns."""
-    spec = MapSpec(
+    generator = MapSpec(
         map_size=(20, 30), room_rows=(20, 20), room_columns=(30, 30), passage_width=(1, 1)
     )
-    maps = generate(spec, 12, range(50))
+    maps = generate(generator, 12, range(50))
     for rooms, sizes in zip(maps.rooms, maps.sizes, strict=True):
         assert (sizes[:rooms] == (20, 30)).all()
         assert (sizes[rooms:] == -1).all()
@@ -324,8 +326,8 @@ def test_passages_are_free_and_their_elbows_full(name: str) -> None:
     """Both legs are free over their whole width, and so is the T x T square at the corner, as far
     as the map goes.
     """
-    spec = MapSpec.preset(name)
-    maps = generate(spec, 77, range(1000))
+    generator = MapSpec.preset(name)
+    maps = generate(generator, 77, range(1000))
     seen = 0
     for place in range(1000):
         grid = maps.occupancy[place]
@@ -353,14 +355,14 @@ def test_rooms_as_small_as_they_get_still_hold_an_elbow() -> None:
     """With rooms of one cell only the corner's square frees its outer corner: it is there, and
     nothing beyond it.
     """
-    spec = MapSpec(
+    generator = MapSpec(
         room_rows=(1, 1),
         room_columns=(1, 1),
         rooms=(2, 2),
         passage_width=(5, 5),
         skip_probability=0.0,
     )
-    maps = generate(spec, 1, range(300))
+    maps = generate(generator, 1, range(300))
     row, column = np.ogrid[:64, :64]
     for place in range(300):
         (a_row, a_column), (b_row, b_column) = maps.seed_points[place].tolist()

@@ -86,18 +86,18 @@ def test_limits_themselves_are_allowed() -> None:
 
 @SETTINGS
 @given(specs())
-def test_json_round_trip(spec: MapSpec) -> None:
+def test_json_round_trip(generator: MapSpec) -> None:
     """A spec comes back from its JSON equal, with the same JSON and the same identity."""
-    again = MapSpec.from_json(spec.to_json())
-    assert again == spec
-    assert hash(again) == hash(spec)
-    assert again.to_json() == spec.to_json()
-    assert identity(again, 3) == identity(spec, 3)
+    again = MapSpec.from_json(generator.to_json())
+    assert again == generator
+    assert hash(again) == hash(generator)
+    assert again.to_json() == generator.to_json()
+    assert identity(again, 3) == identity(generator, 3)
 
 
 @SETTINGS
 @given(specs(), st.randoms(use_true_random=False))
-def test_key_order_does_not_matter(spec: MapSpec, random: Random) -> None:
+def test_key_order_does_not_matter(generator: MapSpec, random: Random) -> None:
     """JSON with its keys shuffled is the same spec with the same identity."""
 
     def shuffle(value: object) -> object:
@@ -108,9 +108,9 @@ def test_key_order_does_not_matter(spec: MapSpec, random: Random) -> None:
         random.shuffle(items)
         return dict(items)
 
-    again = MapSpec.from_json(json.dumps(shuffle(json.loads(spec.to_json())), indent=3))
-    assert again == spec
-    assert identity(again, 0) == identity(spec, 0)
+    again = MapSpec.from_json(json.dumps(shuffle(json.loads(generator.to_json())), indent=3))
+    assert again == generator
+    assert identity(again, 0) == identity(generator, 0)
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_identity_differs_by_seed_and_by_every_field() -> None:
     ]
     seed_points = [0, 1, 2**32, 2**64 - 1]
     found = [identity(table, seed) for seed in seed_points] + [
-        identity(spec, 0) for spec in changed
+        identity(generator, 0) for generator in changed
     ]
     assert len(set(found)) == len(found)
     assert all(re.fullmatch("[0-9a-f]{64}", text) for text in found)
@@ -282,8 +282,8 @@ def test_movement_refuses_nonsense_by_name(culprit: str, arguments: dict[str, An
 def test_numpy_integers_become_plain_ones() -> None:
     """Equal specs have equal JSON."""
     for eight in (np.int64(8), 8.0):
-        spec = MapSpec(movement=Movement(eight))  # type: ignore[arg-type]
-        assert spec.to_json() == MapSpec(movement=Movement(8)).to_json()
+        generator = MapSpec(movement=Movement(eight))  # type: ignore[arg-type]
+        assert generator.to_json() == MapSpec(movement=Movement(8)).to_json()
 
 
 @pytest.mark.parametrize("value", [MapSpec(), Movement()])

@@ -32,7 +32,7 @@ class Pillars(MapGenerator):
         self._convert(check_integers, "gaps")
 
     @property
-    def most_seed_points(self):
+    def max_seed_points(self):
         return 6
 
     def draw(self, seed, indices):

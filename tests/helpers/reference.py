@@ -110,12 +110,12 @@ def carve_passage(
     carve(grid, rows, columns)
 
 
-def reference_map(spec: MapSpec, seed: int, index: int) -> ReferenceMap:
+def reference_map(generator: MapSpec, seed: int, index: int) -> ReferenceMap:
     """Draw and carve one map: all rooms, then the passages between consecutive ones."""
-    height, width = spec.map_size
+    height, width = generator.map_size
     first = block(seed, index, 0, MAP, 0)
-    rooms = bounded(first[0], *spec.rooms)
-    passage = bounded(first[1], *spec.passage_width)
+    rooms = bounded(first[0], *generator.rooms)
+    passage = bounded(first[1], *generator.passage_width)
     grid = [[1] * width for _ in range(height)]
     seed_points = []
     sizes = []
@@ -124,27 +124,27 @@ def reference_map(spec: MapSpec, seed: int, index: int) -> ReferenceMap:
         words = block(seed, index, 0, MAP, 1 + 2 * q)
         row = bounded(words[0], 0, height - 1)
         column = bounded(words[1], 0, width - 1)
-        tall = bounded(words[2], *spec.room_rows)
-        wide = bounded(words[3], *spec.room_columns)
+        tall = bounded(words[2], *generator.room_rows)
+        wide = bounded(words[3], *generator.room_columns)
         seed_points.append((row, column))
         sizes.append((tall, wide))
         carve(grid, across(row, tall), across(column, wide))
     for q in range(rooms - 1):
         words = block(seed, index, 0, MAP, 2 + 2 * q)
-        if words[0] < threshold(spec.skip_probability):
+        if words[0] < threshold(generator.skip_probability):
             directions.append((-1, -1))
             continue
         horizontal_first = bounded(words[1], 0, 1) == 1
         directions.append((1, 0) if horizontal_first else (0, 1))
         carve_passage(grid, seed_points[q], seed_points[q + 1], passage, horizontal_first)
-    split = reference_split(spec, seed, index)
+    split = reference_split(generator, seed, index)
     return ReferenceMap(grid, passage, seed_points, sizes, directions, split)
 
 
-def reference_split(spec: MapGenerator, seed: int, index: int) -> int:
+def reference_split(generator: MapGenerator, seed: int, index: int) -> int:
     """Draw a map's split: 0 train, 1 val, 2 test."""
     word = block(seed, index, 0, SPLIT, 0)[0]
-    train, validation, _ = spec.splits
+    train, validation, _ = generator.splits
     if word < threshold(train):
         return 0
     return 1 if word < threshold(train + validation) else 2

@@ -11,10 +11,10 @@ MAP, POINTS = 0, 5
 STEPS = ((-1, 0), (0, 1), (1, 0), (0, -1))
 
 
-def reference_maze(spec: Maze, seed: int, index: int) -> list[list[int]]:
+def reference_maze(generator: Maze, seed: int, index: int) -> list[list[int]]:
     """Return a maze: the lattice's cells and its open walls first, then the grid that they make."""
-    pitch = spec.corridor + spec.wall
-    tall, wide = ((side - spec.wall) // pitch for side in spec.map_size)
+    pitch = generator.corridor + generator.wall
+    tall, wide = ((side - generator.wall) // pitch for side in generator.map_size)
     trail: list[Cell] = [(0, 0)]
     seen = {(0, 0)}
     opened: set[frozenset[Cell]] = set()
@@ -43,35 +43,35 @@ def reference_maze(spec: Maze, seed: int, index: int) -> list[list[int]]:
                 word = block(seed, index, 0, MAP, number)[0]
                 number += 1
                 inside = other[0] < tall and other[1] < wide
-                if inside and word < threshold(spec.reopened):
+                if inside and word < threshold(generator.reopened):
                     opened.add(frozenset(((row, column), other)))
-    grid = [[1] * spec.map_size[1] for _ in range(spec.map_size[0])]
+    grid = [[1] * generator.map_size[1] for _ in range(generator.map_size[0])]
     for row, column in seen:
-        for r in range(spec.corridor):
-            for c in range(spec.corridor):
-                grid[spec.wall + row * pitch + r][spec.wall + column * pitch + c] = 0
+        for r in range(generator.corridor):
+            for c in range(generator.corridor):
+                grid[generator.wall + row * pitch + r][generator.wall + column * pitch + c] = 0
     for (row, column), (other_row, other_column) in map(sorted, opened):
-        for across in range(spec.corridor):
-            for along in range(spec.corridor, pitch):
+        for across in range(generator.corridor):
+            for along in range(generator.corridor, pitch):
                 r, c = (across, along) if row == other_row else (along, across)
-                grid[spec.wall + row * pitch + r][spec.wall + column * pitch + c] = 0
+                grid[generator.wall + row * pitch + r][generator.wall + column * pitch + c] = 0
         assert (other_row - row, other_column - column) in ((0, 1), (1, 0))
     return grid
 
 
-def reference_cave(spec: Cave, seed: int, index: int) -> list[list[int]]:
+def reference_cave(generator: Cave, seed: int, index: int) -> list[list[int]]:
     """Return a cave: noise whose cells take the side of most of their neighbours."""
-    rows, columns = spec.map_size
+    rows, columns = generator.map_size
     halves: list[int] = []
     for number in range(-(-rows * columns // 8)):
         for word in block(seed, index, 0, MAP, number):
             halves += [word % 2**16, word // 2**16]
-    limit = round(spec.occupied * 2**16)
+    limit = round(generator.occupied * 2**16)
     grid = [
         [int(halves[row * columns + column] < limit) for column in range(columns)]
         for row in range(rows)
     ]
-    for _ in range(spec.steps):
+    for _ in range(generator.steps):
         before = grid
         grid = []
         for row in range(rows):
@@ -87,10 +87,10 @@ def reference_cave(spec: Cave, seed: int, index: int) -> list[list[int]]:
     return grid
 
 
-def reference_forest(spec: Forest, seed: int, index: int) -> list[list[int]]:
+def reference_forest(generator: Forest, seed: int, index: int) -> list[list[int]]:
     """Return a forest: the union of obstacles, as sets of cells, until enough are covered."""
-    rows, columns = spec.map_size
-    least, most = (round(share * rows * columns) for share in spec.cover)
+    rows, columns = generator.map_size
+    least, most = (round(share * rows * columns) for share in generator.cover)
     target = bounded(block(seed, index, 0, MAP, 0)[0], least, most)
     covered: set[Cell] = set()
     number = 0
@@ -98,8 +98,8 @@ def reference_forest(spec: Forest, seed: int, index: int) -> list[list[int]]:
         number += 1
         place, first, second, shape = block(seed, index, 0, MAP, number)
         row, column = divmod(bounded(place, 0, rows * columns - 1), columns)
-        tall = bounded(first, *spec.sizes)
-        wide = bounded(second, *spec.sizes)
+        tall = bounded(first, *generator.sizes)
+        wide = bounded(second, *generator.sizes)
         if bounded(shape, 0, 1):
             middle = (row - tall // 2 + tall / 2, column - tall // 2 + tall / 2)
             cells = {

@@ -22,8 +22,8 @@ import fsspec.implementations.http  # noqa: F401
 from mapdata import MapDataset, ProblemSet
 from mapdata.formats import FormatError, read_any
 from mapdata.generators import as_recipe
+from mapdata.models.path_predictor import PathPredictor
 from mapdata.shards import open_shard, read_manifest
-from models.path_predictor import PathPredictor
 
 
 def read_format(path: str) -> None:

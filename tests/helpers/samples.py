@@ -41,10 +41,10 @@ ALL_FIELDS: tuple[str, ...] = tuple(FIELDS)
 
 
 def build_small(
-    root: Path, spec: MapSpec = SPEC, *, maps: int = 60, seed: int = 5, shard_size: int = 16
+    root: Path, generator: MapSpec = SPEC, *, maps: int = 60, seed: int = 5, shard_size: int = 16
 ) -> str:
     """Build a dataset of several shards and return its root."""
-    build(root, spec, maps=maps, seed=seed, shard_size=shard_size, workers=1)
+    build(root, generator, maps=maps, seed=seed, shard_size=shard_size, workers=1)
     return str(root)
 
 

@@ -12,8 +12,8 @@ from helpers.reference import Cell, neighbours
 
 from mapdata import Forest, Movement, ProblemSet, check_path
 from mapdata.arrays import Bytes, Float32s, Ints
+from mapdata.models.learned_planners import GuidedSearch
 from mapdata.search import STEPS
-from models.learned_planners import GuidedSearch
 
 MOVEMENTS = [
     Movement(),

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from models.model import load_model
-from models.path_predictor import PathPredictor
+from mapdata.models.model import load_model
+from mapdata.models.path_predictor import PathPredictor
 
 
 def test_a_flipped_bit_of_weights_is_refused(tmp_path: Path) -> None:

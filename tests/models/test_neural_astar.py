@@ -26,12 +26,12 @@ from mapdata import (
 from mapdata.arrays import Bytes
 from mapdata.evaluation import classical
 from mapdata.limits import Cell
+from mapdata.models import neural_astar
+from mapdata.models.model import load_model
+from mapdata.models.neural_astar import TRAINING_FIELDS, NeuralAstar
+from mapdata.models.path_predictor import PathPredictor
 from mapdata.movement import NEURAL_ASTAR
 from mapdata.search import STEPS
-from models import neural_astar
-from models.model import load_model
-from models.neural_astar import TRAINING_FIELDS, NeuralAstar
-from models.path_predictor import PathPredictor
 
 MOVEMENTS = [NEURAL_ASTAR, Movement(8), Movement(4)]
 

@@ -9,6 +9,7 @@ import runpy
 import subprocess
 import sys
 import textwrap
+import warnings
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
@@ -40,15 +41,15 @@ from mapdata import (
     evaluate,
 )
 from mapdata.evaluation import Planner, classical
+from mapdata.models.geometry import heuristic, legal_moves
+from mapdata.models.learned_planners import planners
+from mapdata.models.mixed_batches import MixedBatches
+from mapdata.models.model import WEIGHTS
+from mapdata.models.path_predictor import HALF_TURN, TRAINING_FIELDS, PathPredictor, targets_on_path
 from mapdata.search import STEPS, search_batch
 from mapdata.search.lattice import heuristics
-from models.geometry import heuristic, legal_moves
-from models.learned_planners import planners
-from models.path_predictor import HALF_TURN, TRAINING_FIELDS, PathPredictor, targets_on_path
-from models.training import MixedBatches
 
 ROOT = Path(__file__).parents[2]
-WEIGHTS = ROOT / "models" / "weights" / "path_predictor.pt"
 PAPER = MapSpec.preset("paper")
 DUNGEON = MapSpec.preset("dungeon")
 WIDE = MapSpec(
@@ -79,9 +80,9 @@ def small_model(movement: Movement) -> PathPredictor:
     return PathPredictor(*arguments, widths=(8, 8, 8), passes=1)
 
 
-def module(spec: MapSpec, batch_size: int, movement: Movement = Movement(8)) -> MapDataModule:
+def module(generator: MapSpec, batch_size: int, movement: Movement = Movement(8)) -> MapDataModule:
     """Return online maps of a spec, as the training script has them."""
-    recipe = json.dumps({"spec": spec.to_dict(), "seed": 901, "maps": 20_000})
+    recipe = json.dumps({"spec": generator.to_dict(), "seed": 901, "maps": 20_000})
     return MapDataModule(
         None,
         build=recipe,
@@ -107,8 +108,8 @@ def trainer(folder: Path, **arguments: Any) -> pl.Trainer:
 @cache
 def problems(name: str, hard: int) -> ProblemSet:
     """Return problems that were in no training, ``hard`` of them hard."""
-    spec = WIDE if name == "wide" else MapGenerator.preset(name)
-    return ProblemSet.sample(spec, seed=314159, until_hard=hard, movement=Movement(8))
+    generator = WIDE if name == "wide" else MapGenerator.preset(name)
+    return ProblemSet.sample(generator, seed=314159, until_hard=hard, movement=Movement(8))
 
 
 def hard_rows(rows: Sequence[Planner], problems: ProblemSet) -> pd.DataFrame:
@@ -395,11 +396,11 @@ def test_the_walk_is_depth_first(movement: Movement) -> None:
 @pytest.mark.parametrize("size", [(64, 64), (37, 50)])
 def test_plan_and_plan_batch_agree(size: tuple[int, int]) -> None:
     """Problems have the same paths alone and in a batch, except where rounding decides."""
-    spec = MapSpec(
+    generator = MapSpec(
         size, rooms=(5, 9), room_rows=(6, 12), room_columns=(6, 12), passage_width=(1, 3)
     )
-    drawn = ProblemSet.sample(spec, 9, 12, movement=Movement(8))
-    for planner in planners(PathPredictor.load(WEIGHTS)):
+    drawn = ProblemSet.sample(generator, 9, 12, movement=Movement(8))
+    for planner in planners(PathPredictor.pretrained()):
         together = planner.plan_batch(drawn.grids, drawn.starts, drawn.goals)
         alone = [
             planner.plan(grid, (int(start[0]), int(start[1])), (int(goal[0]), int(goal[1])))
@@ -495,7 +496,9 @@ def test_resumes(tmp_path: Path, connectivity: int) -> None:
     def fit(steps: int, ckpt: Path | None) -> PathPredictor:
         pl.seed_everything(1)
         model = PathPredictor(connectivity, widths=(8, 8, 8), passes=1)
-        parts = [module(spec, 2, Movement(connectivity)) for spec in (PAPER, WIDE, DUNGEON)]
+        parts = [
+            module(generator, 2, Movement(connectivity)) for generator in (PAPER, WIDE, DUNGEON)
+        ]
         saver = ModelCheckpoint(
             tmp_path, f"{connectivity}-{{step}}", every_n_train_steps=2, save_top_k=-1
         )
@@ -533,7 +536,7 @@ EXPORT = """
     import numpy as np
     import torch
 
-    from models.path_predictor import PathPredictor
+    from mapdata.models.path_predictor import PathPredictor
 
     warnings.simplefilter("ignore")
     torch.manual_seed(0)
@@ -590,8 +593,8 @@ def test_the_weights_that_ship() -> None:
 
     With 400 problems the 95 % interval of Opt is .02 wide on either side, with 100 problems .04.
     """
-    assert WEIGHTS.stat().st_size < 4_000_000
-    model = PathPredictor.load(WEIGHTS)
+    assert (WEIGHTS / PathPredictor.PRETRAINED["eight"]).stat().st_size < 4_000_000
+    model = PathPredictor.pretrained()
     walk = "path_predictor (walk)"
     search = "path_predictor (search)"
     for family, hard, opt, hmean in (
@@ -669,31 +672,89 @@ def test_the_script(
         script(["fit", *again, "--start_from=refined.pt"])
 
 
+def small_fit() -> list[str]:
+    """Return the arguments of a training of a small network with two steps an epoch."""
+    recipe = json.dumps({"spec": DUNGEON.to_dict(), "seed": 5, "maps": 200})
+    flags = {
+        "data": "mapdata.MapDataModule",
+        "data.root": "null",
+        "data.build": recipe,
+        "data.batch_size": 2,
+        "trainer.limit_train_batches": 2,
+        "trainer.limit_val_batches": 1,
+        "model.widths": "[8,8,8]",
+        "model.passes": 1,
+    }
+    return ["fit", *(f"--{name}={argument}" for name, argument in flags.items())]
+
+
+@pytest.mark.slow
+def test_a_short_epoch_has_a_loss_and_the_bar_has_the_minutes_left(
+    script: Callable[[list[str]], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Epochs of two steps are shorter than the interval of the log, 50 steps, and nothing warns of
+    that.
+    """
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        script([*small_fit(), "--trainer.max_epochs=2"])
+    assert not [warning for warning in warned if "logging interval" in str(warning.message)]
+    (file,) = Path("runs").rglob("metrics.csv")
+    metrics = pd.read_csv(file)
+    assert metrics.dropna(subset="train_loss")["epoch"].tolist() == [0, 1]
+    assert "minutes_left" not in metrics
+    assert "minutes_left=" in capsys.readouterr().out
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.slow
+def test_more_epochs_for_a_finished_run_are_refused_with_advice(
+    script: Callable[[list[str]], None],
+) -> None:
+    """The schedule of the checkpoint has no more steps. The advice works: the same run once more
+    writes its weights, and a new training begins with them.
+    """
+    fit = small_fit()
+    script([*fit, "--trainer.max_epochs=1"])
+    (checkpoint,) = Path("runs").rglob("last.ckpt")
+    resume = [*fit, f"--ckpt_path={checkpoint}"]
+    advice = r"checkpoint ends at step 2, but this training has 4 steps: .* --start_from FILE"
+    with pytest.raises(SystemExit, match=advice) as exited:
+        script([*resume, "--trainer.max_epochs=2"])
+    assert "\n" not in str(exited.value)
+    script([*resume, "--trainer.max_epochs=1", "--weights=weights.pt"])
+    trained = torch.load(checkpoint, weights_only=False)["state_dict"]
+    for name, tensor in PathPredictor.load("weights.pt").state_dict().items():
+        assert torch.equal(tensor.half(), trained[name].half()), name
+    script([*fit, "--start_from=weights.pt", "--trainer.max_epochs=2"])
+
+
 @pytest.mark.parametrize("unsolvable", [False, True])
 def test_validation_logs_opt_and_hmean(tmp_path: Path, unsolvable: bool) -> None:
-    """They are those of the table of planners, over all batches, without problems that have no
-    path.
+    """They are those of the table of planners for hard problems of 10 cells or more, over all
+    batches, without problems that have no path.
     """
     source = Route(unsolvable=True) if unsolvable else Random()
-    spec = MapSpec(
-        (40, 40), rooms=(2, 3), room_rows=(3, 5), room_columns=(3, 5), passage_width=(1, 1)
+    generator = MapSpec(
+        (40, 40), rooms=(2, 3), room_rows=(8, 12), room_columns=(8, 12), passage_width=(1, 1)
     )
-    recipe = json.dumps({"spec": spec.to_dict(), "seed": 5, "maps": 120})
-    data = MapDataModule(None, build=recipe, batch_size=5, problems=source, movement=Movement(8))
+    recipe = json.dumps({"spec": generator.to_dict(), "seed": 5, "maps": 200})
+    data = MapDataModule(None, build=recipe, batch_size=6, problems=source, movement=Movement(8))
     model = random_model()
     (logged,) = trainer(tmp_path).validate(model, data, verbose=False)
     batch = data.datasets["val"][:]
-    assert len(batch.map) == 12  # batches of 5, 5 and 2
+    assert len(batch.map) == 20  # batches of 6, 6, 6 and 2
     grids = batch.map[:, 0].numpy()
     starts = batch.start.numpy()
     goals = batch.goal.numpy()
     costs = search_batch("astar", grids, starts, goals, Movement(8)).cost
     assert (costs == -1).any() == unsolvable
-    has_path = costs > 0
-    solvable = ProblemSet(grids[has_path], starts[has_path], goals[has_path], Movement(8))
-    table = evaluate(planners(model)[1:], solvable, bootstrap=1)
-    assert logged["val_opt"] == pytest.approx(table["opt"][0], abs=0.02)
-    assert logged["val_hmean"] == pytest.approx(table["hmean"][0], abs=0.02)
+    is_long = costs >= 10
+    long = ProblemSet(grids[is_long], starts[is_long], goals[is_long], Movement(8))
+    table = hard_rows(planners(model)[1:], long).iloc[0]
+    assert 0 < table["n"] < is_long.sum() < (costs > 0).sum()
+    assert logged["val_opt"] == pytest.approx(table["opt"], abs=0.02)
+    assert logged["val_hmean"] == pytest.approx(table["hmean"], abs=0.02)
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -763,7 +824,7 @@ def test_validation_loads_the_weights(script: Callable[[list[str]], None]) -> No
     random_model().save("weights.pt")
     validated: list[dict[str, torch.Tensor]] = []
     flags = {
-        "model": "models.path_predictor.PathPredictor",
+        "model": "mapdata.models.path_predictor.PathPredictor",
         "model.widths": "[8,8,8]",
         "model.passes": 1,
         "data": f"{__name__}.OtherDataModule",

@@ -6,7 +6,12 @@ import pytest
 import torch
 
 from mapdata import MapSpec, Movement, ProblemSet
-from models.symmetries import random_symmetry, restore_plane, transform_plane, transform_points
+from mapdata.models.symmetries import (
+    random_symmetry,
+    restore_plane,
+    transform_plane,
+    transform_points,
+)
 
 
 @pytest.mark.parametrize("code", range(8))

@@ -74,11 +74,11 @@ def test_distributions_draw_every_value(small: DatasetStatistics) -> None:
 
 
 @pytest.mark.parametrize(
-    "spec", [WIDE, MapSpec((70, 9), (2, 9), (3, 12), (2, 4), (1, 2))], ids=["wide", "tall"]
+    "generator", [WIDE, MapSpec((70, 9), (2, 9), (3, 12), (2, 4), (1, 2))], ids=["wide", "tall"]
 )
-def test_all_figures_are_tidy_and_reproducible(tmp_path: Path, spec: MapSpec) -> None:
+def test_all_figures_are_tidy_and_reproducible(tmp_path: Path, generator: MapSpec) -> None:
     """No texts overlap, and a figure that is drawn twice has the same bytes."""
-    root = build_small(tmp_path / "d", spec)
+    root = build_small(tmp_path / "d", generator)
     for figure in FIGURES:
         assert_tidy(plot_figure(root, figure, index=7))
     first, second = (tmp_path / name for name in ("a.png", "b.png"))

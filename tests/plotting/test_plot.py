@@ -34,17 +34,17 @@ from mapdata.plotting.plot import mark, plot_cells
 OKABE_ITO = {"#000000", "#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55e00", "#cc79a7"}
 
 
-def some(spec: MapSpec, maps: int = 30) -> Labels:
+def some(generator: MapSpec, maps: int = 30) -> Labels:
     """Return labelled maps."""
-    return label(generate(spec, 5, range(maps)))
+    return label(generate(generator, 5, range(maps)))
 
 
-@pytest.mark.parametrize("spec", [SPEC, WIDE], ids=["square", "wide"])
-def test_map_shows_both_stored_routes_and_numbered_seeds(spec: MapSpec) -> None:
+@pytest.mark.parametrize("generator", [SPEC, WIDE], ids=["square", "wide"])
+def test_map_shows_both_stored_routes_and_numbered_seeds(generator: MapSpec) -> None:
     """The lines of both searches go through the cells of their routes, and seed points are numbered
     from 1.
     """
-    labels = some(spec)
+    labels = some(generator)
     for i in range(3):
         axes = plot_map(labels, i)
         for search in ("bfs", "astar"):
@@ -57,20 +57,20 @@ def test_map_shows_both_stored_routes_and_numbered_seeds(spec: MapSpec) -> None:
         assert axes.get_title() == f"map{i}: {n} rooms, {state}"
 
 
-@pytest.mark.parametrize("spec", [SPEC, WIDE, MapSpec()], ids=["square", "wide", "paper"])
+@pytest.mark.parametrize("generator", [SPEC, WIDE, MapSpec()], ids=["square", "wide", "paper"])
 @pytest.mark.parametrize("layout", [None, "constrained"])
-def test_map_fits_into_any_figure(spec: MapSpec, layout: str | None) -> None:
+def test_map_fits_into_any_figure(generator: MapSpec, layout: str | None) -> None:
     """No texts overlap, with and without a constrained layout."""
     figure = Figure() if layout is None else Figure(layout="constrained")
-    plot_map(some(spec, 1), 0, figure.add_subplot())
+    plot_map(some(generator, 1), 0, figure.add_subplot())
     assert_tidy(figure)
 
 
 @pytest.mark.parametrize("rooms", [2, 5, 9, 120])
 def test_own_figures_are_tidy(rooms: int) -> None:
     """No texts overlap in figures of maps with few or many rooms."""
-    spec = MapSpec((64, 64), (rooms, rooms), (3, 9), (3, 9), (1, 2))
-    labels = some(spec, 1)
+    generator = MapSpec((64, 64), (rooms, rooms), (3, 9), (3, 9), (1, 2))
+    labels = some(generator, 1)
     for axes in (
         plot_map(labels, 0),
         plot_path(labels, 0),
@@ -187,10 +187,10 @@ def test_the_style_applies_to_new_figures_only() -> None:
     assert dict(mpl.rcParams) == before
 
 
-@pytest.mark.parametrize("spec", [SPEC, WIDE], ids=["4", "8"])
-def test_matrix_shows_each_cost_and_hatches_pairs_without_a_path(spec: MapSpec) -> None:
+@pytest.mark.parametrize("generator", [SPEC, WIDE], ids=["4", "8"])
+def test_matrix_shows_each_cost_and_hatches_pairs_without_a_path(generator: MapSpec) -> None:
     """Texts and colours are those of the stored matrix."""
-    labels = some(spec)
+    labels = some(generator)
     i = int(np.flatnonzero(~labels.all_connected)[0])
     for search in ("bfs", "astar"):
         axes, matrix = plot_matrix(labels, i, search), labels.matrix(search, i)
@@ -219,8 +219,8 @@ def test_equal_matrices_are_drawn_once(tmp_path: Path) -> None:
     """Both searches agree on all costs if all moves cost 1; with costlier diagonals BFS counts
     moves.
     """
-    for spec, names in ((SPEC, ["BFS and A*"]), (WIDE, ["BFS", "A*"])):
-        figure = plot_figure(build_small(tmp_path / str(len(names)), spec), "matrix", index=7)
+    for generator, names in ((SPEC, ["BFS and A*"]), (WIDE, ["BFS", "A*"])):
+        figure = plot_figure(build_small(tmp_path / str(len(names)), generator), "matrix", index=7)
         titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
         assert titles == [f"map7: connection matrix by {name}" for name in names]
 

@@ -62,8 +62,8 @@ def chosen(problems: ProblemSet, which: slice | list[int]) -> ProblemSet:
 
 
 @pytest.mark.parametrize("movement", [Movement(), Movement(8), CUTTING], ids=["4", "8", "cutting"])
-@pytest.mark.parametrize("spec", [SMALL_ROOMS, TINY], ids=["dungeon", "tiny"])
-def test_the_sample_is_the_references(spec: MapSpec, movement: Movement) -> None:
+@pytest.mark.parametrize("generator", [SMALL_ROOMS, TINY], ids=["dungeon", "tiny"])
+def test_the_sample_is_the_references(generator: MapSpec, movement: Movement) -> None:
     """Start, goal, cost, and which maps are left out, where one draw on a map is enough and where
     many are tried.
     """
@@ -74,7 +74,7 @@ def test_the_sample_is_the_references(spec: MapSpec, movement: Movement) -> None
         problems = []
         redrawn = 0
         for index in range(maps):
-            grid = reference.reference_map(spec, seed, index).occupancy
+            grid = reference.reference_map(generator, seed, index).occupancy
             drawn = reference_problem(grid, seed, index, conditions, movement, draws=1000)
             if drawn is None:
                 continue
@@ -82,12 +82,12 @@ def test_the_sample_is_the_references(spec: MapSpec, movement: Movement) -> None
             problems.append(drawn)
             first = reference_problem(grid, seed, index, conditions, movement, draws=1)
             redrawn += first is None
-        if spec == SMALL_ROOMS and conditions == NARROW:
+        if generator == SMALL_ROOMS and conditions == NARROW:
             assert redrawn > 0
-        if spec == TINY:
+        if generator == TINY:
             assert 0 < len(problems) < maps
 
-        found = ProblemSet.sample(spec, seed, maps, problems=conditions, movement=movement)
+        found = ProblemSet.sample(generator, seed, maps, problems=conditions, movement=movement)
         assert found.grids.tolist() == grids
         assert found.starts.tolist() == [list(problem.start) for problem in problems]
         assert found.goals.tolist() == [list(problem.goal) for problem in problems]
@@ -474,8 +474,8 @@ def test_the_sets_behind_the_tables_are_what_their_recipes_give(row: Row) -> Non
     hard = int(words[words.index("--until-hard") + 1])
     connectivity = 4 if "--connectivity" in words else 8
     movement = Movement(connectivity, corner_cutting="--corner-cutting" in words)
-    spec = MapGenerator.preset(preset)
-    found = ProblemSet.sample(spec, seed=77, until_hard=hard, movement=movement)
+    generator = MapGenerator.preset(preset)
+    found = ProblemSet.sample(generator, seed=77, until_hard=hard, movement=movement)
     assert f"{len(found):,}" == row.problems
     assert f"{found.hard.sum():,}" == row.hard
     assert row.name.endswith(f"-hard-{found.hard.sum()}")

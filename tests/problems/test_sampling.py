@@ -258,20 +258,20 @@ def test_goals_are_uniform(movement: Movement) -> None:
 @pytest.mark.parametrize("to_first", [False, True])
 def test_training_and_evaluation_ask_the_same(to_first: bool, tmp_path: Path) -> None:
     """Datasets in epoch 0 have the problems of a set of problems with their seed, map by map."""
-    spec = MapGenerator.preset("dungeon")
+    generator = MapGenerator.preset("dungeon")
     conditions = Random(distance=(10, None), to_first_seed_point=to_first)
     movement = Movement(8)
-    build(tmp_path, spec, maps=30, seed=5)
+    build(tmp_path, generator, maps=30, seed=5)
     how: dict[str, Any] = {
         "fields": ("map", "start", "goal", "seed_points"),
         "problems": conditions,
         "movement": movement,
         "sampling_seed": 5,
     }
-    online = OnlineMapDataset(spec, 5, 30, **how)[:]
+    online = OnlineMapDataset(generator, 5, 30, **how)[:]
     stored = MapDataset(tmp_path, **how)[:]
     assert_same(online, stored)
-    problems = ProblemSet.sample(spec, 5, 30, problems=conditions, movement=movement)
+    problems = ProblemSet.sample(generator, 5, 30, problems=conditions, movement=movement)
     np.testing.assert_array_equal(online.map[:, 0], problems.grids)
     np.testing.assert_array_equal(online.start, problems.starts)
     np.testing.assert_array_equal(online.goal, problems.goals)
@@ -284,17 +284,19 @@ def test_training_and_evaluation_ask_the_same(to_first: bool, tmp_path: Path) ->
 
 def test_without_a_free_first_seed_point_a_map_gives_way() -> None:
     """An inflated map may have none; of the others the goal is the first seed point."""
-    spec = MapGenerator.preset("narrow")
+    generator = MapGenerator.preset("narrow")
     conditions = Random(to_first_seed_point=True)
     served = OnlineMapDataset(
-        spec, 3, 200, fields=("map", "goal", "seed_points"), problems=conditions, radius=0.6
+        generator, 3, 200, fields=("map", "goal", "seed_points"), problems=conditions, radius=0.6
     )
     sample = served[:]
     np.testing.assert_array_equal(sample.goal, sample.seed_points[:, 0])
     rows, columns = sample.goal.unbind(1)
     occupied = sample.map[torch.arange(200), 0, rows, columns]
     assert not occupied.any()
-    alone = ProblemSet.sample(spec, 3, 200, problems=conditions, radius=0.6, movement=Movement(8))
+    alone = ProblemSet.sample(
+        generator, 3, 200, problems=conditions, radius=0.6, movement=Movement(8)
+    )
     assert len(alone) < 200
 
 
@@ -302,9 +304,9 @@ def test_without_a_free_first_seed_point_a_map_gives_way() -> None:
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_paths_found_while_sampling_are_those_of_a_search(movement: Movement, search: str) -> None:
     """Conditions need them; a rare one also takes maps in place of those without a problem."""
-    spec = MapGenerator.preset("paper")
+    generator = MapGenerator.preset("paper")
     served = OnlineMapDataset(
-        spec,
+        generator,
         5,
         60,
         fields=("map", "start", "goal", "path", "cost", "iterations", "hardness"),
@@ -324,7 +326,7 @@ def test_paths_found_while_sampling_are_those_of_a_search(movement: Movement, se
         assert served.cost[k] == np.float32(expected.cost)
         shortest = astar(grid, start, goal, movement)
         assert len(shortest.path) <= 90
-    own_maps = generate(spec, 5, range(60)).occupancy
+    own_maps = generate(generator, 5, range(60)).occupancy
     in_place = (served.map[:, 0].numpy() == own_maps).all(axis=(1, 2))
     assert 0 < in_place.sum() < 60
 

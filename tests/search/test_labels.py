@@ -137,13 +137,13 @@ def test_the_kinds_of_map_are_what_they_are_for() -> None:
 
 
 @pytest.mark.parametrize(
-    "spec", [*SPECS.values(), *map(MapSpec.preset, PRESETS)], ids=[*SPECS, *PRESETS]
+    "generator", [*SPECS.values(), *map(MapSpec.preset, PRESETS)], ids=[*SPECS, *PRESETS]
 )
-def test_four_connected_matrices(spec: MapSpec) -> None:
+def test_four_connected_matrices(generator: MapSpec) -> None:
     """BFS's and A*'s matrices are equal, symmetric, zero on the diagonal, and hold each segment's
     moves.
     """
-    maps = generate(spec, 21, range(200))
+    maps = generate(generator, 21, range(200))
     labels = label(maps)
     for i in range(200):
         matrix = labels.matrix("bfs", i)
@@ -162,8 +162,8 @@ def test_no_connection_exactly_where_components_differ(name: str, movement: Move
     """-1, `reachable` and `all_connected` follow scipy's connected components; the smallest other
     entry is 0.
     """
-    spec = SPECS[name] if name in SPECS else MapSpec.preset(name)
-    maps = generate(replace(spec, movement=movement), 22, range(200))
+    generator = SPECS[name] if name in SPECS else MapSpec.preset(name)
+    maps = generate(replace(generator, movement=movement), 22, range(200))
     labels = label(maps)
     structure = ndimage.generate_binary_structure(2, 2 if movement.corner_cutting else 1)
     apart = 0
@@ -201,10 +201,10 @@ def test_shapes_and_types(movement: Movement) -> None:
 @movements
 def test_labels_do_not_depend_on_the_batch(movement: Movement) -> None:
     """A map alone, last or first in its batch, has the same labels."""
-    spec = replace(MapSpec.preset("narrow"), movement=movement)
-    together = label(generate(spec, 3, range(6)))
+    generator = replace(MapSpec.preset("narrow"), movement=movement)
+    together = label(generate(generator, 3, range(6)))
     for i in range(6):
-        alone = label(generate(spec, 3, [i]))
+        alone = label(generate(generator, 3, [i]))
         for search in SEARCHES:
             np.testing.assert_array_equal(alone.matrix(search, 0), together.matrix(search, i))
             np.testing.assert_array_equal(

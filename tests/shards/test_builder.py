@@ -154,11 +154,11 @@ GOLDEN = [
 ]
 
 
-@pytest.mark.parametrize(("spec", "seed", "maps", "name", "content"), GOLDEN)
-def test_golden_hashes(spec: MapSpec, seed: int, maps: int, name: str, content: str) -> None:
+@pytest.mark.parametrize(("generator", "seed", "maps", "name", "content"), GOLDEN)
+def test_golden_hashes(generator: MapSpec, seed: int, maps: int, name: str, content: str) -> None:
     """The bytes of format version 1 are what they were, on every machine."""
-    assert identity(spec, seed) == name
-    assert content_hash(label(generate(spec, seed, range(maps)))) == content
+    assert identity(generator, seed) == name
+    assert content_hash(label(generate(generator, seed, range(maps)))) == content
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -228,20 +228,22 @@ def test_shards_made_in_any_order_are_adopted(seed: int, root: Path, truth: str)
     assert listing(root) == names(MAPS, 2)
 
 
-@pytest.mark.parametrize("spec", [SPEC, MapSpec.preset("dungeon"), Maze((21, 21))])
+@pytest.mark.parametrize("generator", [SPEC, MapSpec.preset("dungeon"), Maze((21, 21))])
 def test_the_bar_moves_within_a_shard(
-    spec: MapGenerator, root: Path, monkeypatch: pytest.MonkeyPatch
+    generator: MapGenerator, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Labels of pieces, joined, are those of all maps at once."""
     monkeypatch.setattr("mapdata.search.labels._CELLS_AT_ONCE", 1)
     root.mkdir()
     (header,) = planned_headers(
-        Manifest(spec, SEED, spec.map_size, spec.movement, spec.resolution, 30, 100)
+        Manifest(
+            generator, SEED, generator.map_size, generator.movement, generator.resolution, 30, 100
+        )
     )
     moved: list[int] = []
     entry = build_shard(root, header, advance=moved.append)
     assert moved == [8, 8, 8, 6]
-    assert entry.content_hash == content_hash(label(generate(spec, SEED, range(30))))
+    assert entry.content_hash == content_hash(label(generate(generator, SEED, range(30))))
     assert build_shard(root, header, advance=moved.append) == entry
     assert moved[4:] == [30]
 
@@ -367,13 +369,13 @@ def test_a_lost_manifest_is_made_again(root: Path) -> None:
 def test_a_repaired_manifest_is_that_of_the_build(side: int, tmp_path: Path) -> None:
     """A shard that is alone is a partial one of the default size: the dataset can grow."""
     root = tmp_path / "lone"
-    spec = MapSpec((side, side))
-    build(root, spec, maps=3)
+    generator = MapSpec((side, side))
+    build(root, generator, maps=3)
     text = (root / MANIFEST).read_bytes()
     (root / MANIFEST).unlink()
     repair(root)
     assert (root / MANIFEST).read_bytes() == text
-    assert build(root, spec, maps=5).maps == 5
+    assert build(root, generator, maps=5).maps == 5
     assert verify(root) == []
 
 

@@ -67,7 +67,7 @@ if __name__ == "__main__":
         assert cluster.scheduler_address.startswith("tcp://")
         with dask_executor(cluster.scheduler_address) as inner:
             executor = Watching(inner, cluster)
-            build(sys.argv[1], recipe.spec, maps=recipe.maps, seed=recipe.seed, shard_size=5, executor=executor)
+            build(sys.argv[1], recipe.generator, maps=recipe.maps, seed=recipe.seed, shard_size=5, executor=executor)
             assert len(executor.places) == 80
             assert len(set(executor.killed)) == 3
             joined = cluster.workers[max(cluster.workers)].pid  # workers are numbered, the first one is killed

@@ -75,9 +75,9 @@ def reference_hash(labels: Labels) -> str:
     return f"{total % 2**256:064x}"
 
 
-def labelled(spec: MapSpec, seed: int, *indices: int) -> Labels:
+def labelled(generator: MapSpec, seed: int, *indices: int) -> Labels:
     """Return labelled maps."""
-    return label(generate(spec, seed, indices))
+    return label(generate(generator, seed, indices))
 
 
 # --- equal to the reference ---------------------------------------------------------------------
@@ -85,9 +85,9 @@ def labelled(spec: MapSpec, seed: int, *indices: int) -> Labels:
 
 @SETTINGS
 @given(specs(), st.integers(0, 2**64 - 1), st.lists(NUMBERS, min_size=1, max_size=4))
-def test_any_maps_equal_the_reference(spec: MapSpec, seed: int, indices: list[int]) -> None:
+def test_any_maps_equal_the_reference(generator: MapSpec, seed: int, indices: list[int]) -> None:
     """The hash is that of the records of docs/format.md, also for indices beyond 32 bits."""
-    labels = labelled(spec, seed, *indices)
+    labels = labelled(generator, seed, *indices)
     assert content_hash(labels) == reference_hash(labels)
 
 

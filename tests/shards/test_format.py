@@ -257,7 +257,7 @@ def names(heading: str) -> Row:
 class Dataset(NamedTuple):
     """A built dataset, and what it should hold."""
 
-    spec: MapSpec
+    generator: MapSpec
     root: Path
     shards: list[Path]
     labels: Labels
@@ -266,11 +266,14 @@ class Dataset(NamedTuple):
 @pytest.fixture(scope="module", params=SPECS)
 def dataset(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """Eleven maps in three shards, the last one shorter."""
-    spec = SPECS[request.param]
+    generator = SPECS[request.param]
     root = tmp_path_factory.mktemp("format") / "maps"
-    build(root, spec, maps=MAPS, seed=SEED, shard_size=SHARD_SIZE, workers=1)
+    build(root, generator, maps=MAPS, seed=SEED, shard_size=SHARD_SIZE, workers=1)
     return Dataset(
-        spec, root, sorted(root.glob("maps-*.h5")), label(generate(spec, SEED, range(MAPS)))
+        generator,
+        root,
+        sorted(root.glob("maps-*.h5")),
+        label(generate(generator, SEED, range(MAPS))),
     )
 
 
@@ -297,7 +300,7 @@ def test_the_page_reads_every_map(dataset: Dataset) -> None:
             paths = [path_of(stored_map, search, q) for q in range(n - 1)]
             assert paths == [segment.tolist() for segment in labels.route(search, i)]
             assert stored_map.planners[search].iterations == labels.iterations(search, i).tolist()
-            step = 1.0 if search == "bfs" else dataset.spec.movement.diagonal_cost
+            step = 1.0 if search == "bfs" else dataset.generator.movement.diagonal_cost
             np.testing.assert_array_equal(
                 matrix_of(stored_map, search, step), labels.matrix(search, i)
             )
@@ -342,17 +345,22 @@ def test_draws_are_those_of_the_page(dataset: Dataset) -> None:
     """Splits, rooms and passages follow from the spec in the file and its seed."""
     for path in dataset.shards:
         attributes, maps = read(path)
-        spec = json.loads(attributes["spec"])
+        generator = json.loads(attributes["spec"])
         seed = int(attributes["seed"])
         assert seed == SEED
-        height, width = spec["map_size"]
-        limits = [(0, height - 1), (0, width - 1), spec["room_rows"], spec["room_columns"]]
+        height, width = generator["map_size"]
+        limits = [
+            (0, height - 1),
+            (0, width - 1),
+            generator["room_rows"],
+            generator["room_columns"],
+        ]
         for stored_map in maps:
             word, *_ = reference.block(seed, stored_map.number, 0, 2, 0)
-            assert stored_map.split == split_of(word, spec["splits"])
+            assert stored_map.split == split_of(word, generator["splits"])
             rooms, passage_width, *_ = reference.block(seed, stored_map.number, 0, 0, 0)
-            assert len(stored_map.seed_points) == draw(rooms, spec["rooms"])
-            assert stored_map.passage_width == draw(passage_width, spec["passage_width"])
+            assert len(stored_map.seed_points) == draw(rooms, generator["rooms"])
+            assert stored_map.passage_width == draw(passage_width, generator["passage_width"])
             for q, (seed_point, size) in enumerate(
                 zip(stored_map.seed_points, stored_map.sizes, strict=True)
             ):
@@ -361,7 +369,7 @@ def test_draws_are_those_of_the_page(dataset: Dataset) -> None:
                 assert [*seed_point, *size] == drawn
             for q, direction in enumerate(stored_map.directions):
                 skip, first, *_ = reference.block(seed, stored_map.number, 0, 0, 2 + 2 * q)
-                if skip < threshold(spec["skip_probability"]):
+                if skip < threshold(generator["skip_probability"]):
                     assert direction == [-1, -1]
                 else:
                     assert direction == ([1, 0] if draw(first, (0, 1)) else [0, 1])
@@ -440,7 +448,7 @@ def test_shapes_are_those_of_the_page(dataset: Dataset) -> None:
     for path in dataset.shards:
         with h5py.File(path, "r") as file:
             height, width = file.attrs["map_size"]
-            connectivity = dataset.spec.movement.connectivity
+            connectivity = dataset.generator.movement.connectivity
             bits = 2 if connectivity == 4 else 4
             maps = file.attrs["stop"] - file.attrs["start"]
             rooms = file["room_offsets"][-1]
@@ -553,7 +561,7 @@ def test_files_keep_the_rules_of_the_page(dataset: Dataset) -> None:
             assert not bits[:, :, width:].any()
             for search in ("bfs", "astar"):
                 used = file[f"{search}_offsets"][-1] * (
-                    2 if dataset.spec.movement.connectivity == 4 else 4
+                    2 if dataset.generator.movement.connectivity == 4 else 4
                 )
                 assert not np.unpackbits(file[f"{search}_moves"][()], bitorder="little")[
                     used:
@@ -570,15 +578,15 @@ def test_values_to_check_against(tmp_path: Path) -> None:
         " ",
         PAGE[PAGE.index("## 9.") : PAGE.index("## 10.")].replace("`", "").replace("\\", ""),
     )
-    spec = MapSpec()
-    manifest = build(tmp_path / "maps", spec, maps=10, seed=0, shard_size=10, workers=1)
+    generator = MapSpec()
+    manifest = build(tmp_path / "maps", generator, maps=10, seed=0, shard_size=10, workers=1)
     maps = read(tmp_path / "maps" / manifest.shards[0].name)[1]
     first = maps[0]
     bfs = first.planners["bfs"]
     astar = first.planners["astar"]
     stated = [
         " ".join(f"{word:08x}" for word in reference.philox4x32((0, 0, 0, 0), (0, 0))),
-        spec.to_json().replace(',"passage', ', "passage').replace(',"skip', ', "skip'),
+        generator.to_json().replace(',"passage', ', "passage').replace(',"skip', ', "skip'),
         str(manifest.identity),
         f"n = {len(first.seed_points)}, T = {first.passage_width}, split "
         f"{('train', 'val', 'test')[first.split]}",

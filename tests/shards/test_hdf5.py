@@ -77,8 +77,8 @@ def test_kept_shards_read_as_by_h5py(path: Path) -> None:
 @pytest.mark.parametrize("name", sorted(PRESETS))
 def test_built_shards_read_as_by_h5py(name: str, movement: Movement, tmp_path: Path) -> None:
     """All presets, all rules of moving."""
-    spec = MapGenerator.from_dict({**PRESETS[name].to_dict(), "movement": asdict(movement)})
-    manifest = build(tmp_path, spec, maps=2)
+    generator = MapGenerator.from_dict({**PRESETS[name].to_dict(), "movement": asdict(movement)})
+    manifest = build(tmp_path, generator, maps=2)
     assert_reads_as_h5py(tmp_path / manifest.shards[0].name)
 
 
@@ -90,23 +90,23 @@ def test_imported_shards_read_as_by_h5py(tmp_path: Path) -> None:
     assert_reads_as_h5py(path)
 
 
-def header_of(spec: MapGenerator, maps: int) -> Header:
+def header_of(generator: MapGenerator, maps: int) -> Header:
     """Return the header of the first maps of a spec."""
     return Header(
-        spec=spec,
+        generator=generator,
         seed=SOUND_SEED,
         start=0,
         stop=maps,
-        map_size=spec.map_size,
-        movement=spec.movement,
-        resolution=spec.resolution,
+        map_size=generator.map_size,
+        movement=generator.movement,
+        resolution=generator.resolution,
     )
 
 
-def image_of(spec: MapGenerator, maps: int) -> bytes:
+def image_of(generator: MapGenerator, maps: int) -> bytes:
     """Return the bytes of a shard."""
-    labels = label(generate(spec, SOUND_SEED, range(maps)))
-    return shard_image(labels, header_of(spec, maps))[0]
+    labels = label(generate(generator, SOUND_SEED, range(maps)))
+    return shard_image(labels, header_of(generator, maps))[0]
 
 
 def test_a_shard_of_no_maps_reads_as_by_h5py(tmp_path: Path) -> None:

@@ -26,9 +26,9 @@ from torch import nn
 
 from mapdata import build
 from mapdata.limits import SPLITS
+from mapdata.models.model import load_model
+from mapdata.models.path_predictor import PathPredictor
 from mapdata.shards import MANIFEST, read_manifest
-from models.model import load_model
-from models.path_predictor import PathPredictor
 
 MOST = 200 << 20
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="/proc/self/clear_refs is Linux's")
@@ -76,7 +76,7 @@ def manifest_cases(folder: Path, sound: Path) -> Iterator[Case]:
     }
     problems = replace(entry, bytes=10**15, counts=counts)
     rooms = replace(entry, counts={**entry.counts, "most_rooms": 10**9})
-    imported = replace(manifest, spec=None, seed=None, shards=(rooms,))
+    imported = replace(manifest, generator=None, seed=None, shards=(rooms,))
     texts = {
         "deep": "[" * 10**6,
         "empty-lists": "[" + "[]," * 10**6 + "[]]",

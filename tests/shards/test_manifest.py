@@ -46,9 +46,19 @@ def entry_of(start: int, stop: int, content: str = HASH) -> Entry:
     return Entry(shard_name(start, stop), start, stop, 4096, HASH, content, {**counts, **splits})
 
 
-def manifest_of(spec: MapSpec, seed: int, maps: int, shard_size: int, done: int = 0) -> Manifest:
+def manifest_of(
+    generator: MapSpec, seed: int, maps: int, shard_size: int, done: int = 0
+) -> Manifest:
     """Return a manifest whose first ``done`` shards are finished."""
-    planned = Manifest(spec, seed, spec.map_size, spec.movement, spec.resolution, maps, shard_size)
+    planned = Manifest(
+        generator,
+        seed,
+        generator.map_size,
+        generator.movement,
+        generator.resolution,
+        maps,
+        shard_size,
+    )
     return replace(planned, shards=tuple(entry_of(*limits) for limits in planned.plan[:done]))
 
 
@@ -73,16 +83,16 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     st.booleans(),
 )
 def test_text_round_trip(
-    spec: MapSpec, seed: int, maps: int, shard_size: int, done: int, imported: bool
+    generator: MapSpec, seed: int, maps: int, shard_size: int, done: int, imported: bool
 ) -> None:
     """A manifest comes back from its text equal, finished or not, with and without a recipe."""
-    manifest = manifest_of(spec, seed, maps, shard_size, done)
+    manifest = manifest_of(generator, seed, maps, shard_size, done)
     if imported:
-        manifest = replace(manifest, spec=None, seed=None)
+        manifest = replace(manifest, generator=None, seed=None)
     again = parse_manifest(manifest.to_json(), "text")
     assert again == manifest
     assert again.to_json() == manifest.to_json()
-    assert again.identity == (None if imported else identity(spec, seed))
+    assert again.identity == (None if imported else identity(generator, seed))
 
 
 def test_the_manifest_on_disk_is_its_text(built: Path) -> None:
@@ -100,8 +110,8 @@ def test_the_recipe_states_all_that_makes_the_maps(built: Path) -> None:
     assert (recipe["seed"], recipe["maps"], recipe["identity"]) == (5, 8, identity(SPEC, 5))
     assert recipe["content_hash"] == manifest.content_hash
     with pytest.raises(ValueError, match="imported"):
-        replace(manifest, spec=None, seed=None).recipe()
-    assert as_recipe(recipe).spec == SPEC
+        replace(manifest, generator=None, seed=None).recipe()
+    assert as_recipe(recipe).generator == SPEC
     with pytest.raises(ValueError, match="is not that of its spec and seed"):
         as_recipe({**recipe, "seed": 6})
 
@@ -598,7 +608,10 @@ def test_load_shard_takes_no_damaged_one(damage: str, built: Path, tmp_path: Pat
 def test_load_shard_takes_no_other_maps(built: Path) -> None:
     """A sound shard of another range, seed or resolution gives None."""
     (header, *_) = planned_headers(read_manifest(built))
-    for other in (replace(header, seed=6), replace(header, spec=replace(SPEC, resolution=0.2))):
+    for other in (
+        replace(header, seed=6),
+        replace(header, generator=replace(SPEC, resolution=0.2)),
+    ):
         assert load_shard(built, other) is None
     assert load_shard(built, header) is not None
 

@@ -37,16 +37,18 @@ SETTINGS = settings(max_examples=60)
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="inotify and /proc are Linux's")
 
 
-def header_of(spec: MapSpec, seed: int, start: int, stop: int, *, imported: bool = False) -> Header:
+def header_of(
+    generator: MapSpec, seed: int, start: int, stop: int, *, imported: bool = False
+) -> Header:
     """Return the header of maps start <= i < stop."""
     return Header(
-        spec=None if imported else spec,
+        generator=None if imported else generator,
         seed=None if imported else seed,
         start=start,
         stop=stop,
-        map_size=spec.map_size,
-        movement=spec.movement,
-        resolution=spec.resolution,
+        map_size=generator.map_size,
+        movement=generator.movement,
+        resolution=generator.resolution,
     )
 
 
@@ -100,10 +102,10 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
 
 @SETTINGS
 @given(specs(), st.integers(0, 2**64 - 1), st.integers(0, 2**40), st.integers(1, 4), st.booleans())
-def test_round_trip(spec: MapSpec, seed: int, start: int, count: int, imported: bool) -> None:
+def test_round_trip(generator: MapSpec, seed: int, start: int, count: int, imported: bool) -> None:
     """What is written is read back equal, for all movements and sizes, imported or not."""
-    header = header_of(spec, seed, start, start + count, imported=imported)
-    labels = label(generate(spec, seed, range(start, start + count)))
+    header = header_of(generator, seed, start, start + count, imported=imported)
+    labels = label(generate(generator, seed, range(start, start + count)))
     image, content = shard_image(labels, header)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "shard.h5"

@@ -90,12 +90,12 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> Known:
     sys.path.remove(str(folder))
     root = folder / "maps"
     recipe = as_recipe(RECIPE)
-    manifest = build(root, recipe.spec, maps=10, seed=3, shard_size=4, workers=1)
+    manifest = build(root, recipe.generator, maps=10, seed=3, shard_size=4, workers=1)
     dataset = MapDataset(root, None, ("seed_points", "connection_matrix"))
     dataset[:]
     seen = Known(
         root,
-        identity(recipe.spec, 3),
+        identity(recipe.generator, 3),
         manifest.recipe(),
         samples_of(root),
         dataset.table(),
@@ -130,7 +130,7 @@ def exit_code(*arguments: object) -> object:
 def test_samples_are_those_of_where_the_family_is_known(known: Known, root: Path) -> None:
     """All fields of all problems, the table, shards and modules; from a folder and from a URL."""
     manifest = read_manifest(root)
-    assert isinstance(manifest.spec, UnknownFamily)
+    assert isinstance(manifest.generator, UnknownFamily)
     assert_same_maps(samples_of(root), known.batch)
     assert MapDataset(root).table().equals(known.table)
     assert len(read_shard(root / manifest.shards[0].name).maps) == 4
@@ -144,7 +144,7 @@ def test_identity_and_recipe_are_those_of_the_family(known: Known, root: Path) -
     header = open_shard(root / manifest.shards[0].name).header
     assert manifest.identity == header.identity == known.identity
     assert json.loads(manifest.recipe()) == json.loads(known.recipe)
-    assert manifest.spec == header.spec
+    assert manifest.generator == header.generator
     assert manifest.header(*header.limits) == header
     assert read_manifest(root).to_json() == manifest.to_json()
 
@@ -165,7 +165,7 @@ def test_a_worker_that_does_not_know_the_family_pads_as_its_parent(
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         again = pickle.loads(known.pickled)
-    assert isinstance(again.reader.manifests[0].spec, UnknownFamily)
+    assert isinstance(again.reader.manifests[0].generator, UnknownFamily)
     assert again.info.recipes == (None,)
     np.testing.assert_array_equal(again[:].seed_points, known.batch.seed_points)
     np.testing.assert_array_equal(again[:].connection_matrix, known.batch.connection_matrix)
@@ -180,7 +180,7 @@ def test_the_module_may_be_imported_between_two_reads(
     module = __import__("pillars")
     assert_same_maps(dataset[:], known.batch)
     assert_same(samples_of(root), known.batch)
-    assert read_manifest(root).spec == module.Pillars(gaps=(2, 4))
+    assert read_manifest(root).generator == module.Pillars(gaps=(2, 4))
     assert hash(read_manifest(root).header(0, 4)) == hash(dataset.reader.manifests[0].header(0, 4))
 
 
@@ -189,16 +189,16 @@ def test_the_module_may_be_imported_between_two_reads(
 
 def test_what_needs_the_family_says_so_on_one_line(root: Path, tmp_path: Path) -> None:
     """Drawing maps, building, extending, maps online, recipes."""
-    spec = read_manifest(root).spec
-    assert isinstance(spec, UnknownFamily)
+    generator = read_manifest(root).generator
+    assert isinstance(generator, UnknownFamily)
     recipe = read_manifest(root).recipe()
     module = MapDataModule(None, build=recipe)
     needs: list[Callable[[], object]] = [
-        lambda: generate(spec, 3, [0]),
-        lambda: spec.draw(3, np.arange(2)),
-        lambda: build(root, spec, maps=12, seed=3, shard_size=4),
-        lambda: build(tmp_path / "new", spec, maps=12, seed=3),
-        lambda: OnlineMapDataset(spec),
+        lambda: generate(generator, 3, [0]),
+        lambda: generator.draw(3, np.arange(2)),
+        lambda: build(root, generator, maps=12, seed=3, shard_size=4),
+        lambda: build(tmp_path / "new", generator, maps=12, seed=3),
+        lambda: OnlineMapDataset(generator),
         lambda: as_recipe(recipe),
         module.setup,
     ]
@@ -330,9 +330,9 @@ HOSTILE: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
-def stated_identity(spec: object, seed: int) -> str:
+def stated_identity(generator: object, seed: int) -> str:
     """Return the identity that docs/format.md gives to a spec, sound or not."""
-    values = {"format_version": 2, "spec": spec, "seed": seed}
+    values = {"format_version": 2, "spec": generator, "seed": seed}
     text = json.dumps(values, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -343,8 +343,8 @@ def test_a_name_that_is_not_known_skips_no_check(name: str, root: Path) -> None:
     changes, why = HOSTILE[name]
 
     def change(values: dict[str, Any]) -> None:
-        spec = values["spec"] | changes
-        values["spec"] = {key: value for key, value in spec.items() if value is not None}
+        generator = values["spec"] | changes
+        values["spec"] = {key: value for key, value in generator.items() if value is not None}
         values["identity"] = stated_identity(values["spec"], values["seed"])
 
     text = (root / MANIFEST).read_text(encoding="utf-8")
@@ -361,14 +361,14 @@ def test_a_shard_of_another_family_is_not_served(name: str, root: Path) -> None:
     """Neither of these is known, and still they are not the same."""
     shard = root / read_manifest(root).shards[0].name
     header = open_shard(shard).header
-    assert header.spec is not None
-    stored = canonical_json({**header.spec.to_dict(), "gaps": [3, 4]} | {"generator": name})
-    image = shard.read_bytes().replace(header.spec.to_json().encode(), stored.encode())
+    assert header.generator is not None
+    stored = canonical_json({**header.generator.to_dict(), "gaps": [3, 4]} | {"generator": name})
+    image = shard.read_bytes().replace(header.generator.to_json().encode(), stored.encode())
     assert header.identity is not None
     image = image.replace(header.identity.encode(), stated_identity(json.loads(stored), 3).encode())
     assert image != shard.read_bytes()
     publish(root, shard.name, image)
-    other = map_shard(shard).shard.header.spec
+    other = map_shard(shard).shard.header.generator
     assert isinstance(other, UnknownFamily)
     assert other.name == name
     with pytest.raises(ShardError, match="holds other maps than the manifest says"):

@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.stats import kstest
 
 from mapdata import MapSpec, Movement, ProblemSet
-from models.lego.roadmap import (
+from mapdata.models.lego.roadmap import (
     SAMPLERS,
     bridge,
     build_roadmap,
@@ -115,10 +115,10 @@ def test_edges_are_those_of_all_pairs(shape: tuple[int, int], max_length: float)
     """The roadmap has the edges that a test of points along each pair of vertices accepts, except
     for the few that pass so close to a corner that no such point lies in the occupied cell.
     """
-    spec = MapSpec(
+    generator = MapSpec(
         shape, rooms=(4, 9), room_rows=(5, 12), room_columns=(5, 12), passage_width=(1, 3)
     )
-    problems = ProblemSet.sample(spec, seed=5, maps=2, movement=Movement(8))
+    problems = ProblemSet.sample(generator, seed=5, maps=2, movement=Movement(8))
     for grid in problems.grids:
         roadmap = build_roadmap(grid, uniform(grid, 60, seed=2), max_length)
         edges = set(map(tuple, roadmap.edges.tolist()))

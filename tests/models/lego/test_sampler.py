@@ -23,7 +23,7 @@ import torch
 from scipy.sparse.csgraph import dijkstra
 
 from mapdata import MapDataModule, MapSpec, Movement, ProblemSet, inflate
-from models.lego.comparison import (
+from mapdata.models.lego.comparison import (
     DENSE,
     DENSE_SEED,
     RoadmapSuccess,
@@ -32,8 +32,8 @@ from models.lego.comparison import (
     plot_success,
     to_text,
 )
-from models.lego.cvae import CVAE
-from models.lego.experience import (
+from mapdata.models.lego.cvae import CVAE
+from mapdata.models.lego.experience import (
     MINED_TARGETS,
     Bank,
     FixedProblems,
@@ -42,20 +42,18 @@ from models.lego.experience import (
     mine,
     near_optimal_paths,
 )
-from models.lego.roadmap import (
+from mapdata.models.lego.roadmap import (
     build_roadmap,
     connection_radius,
     free_at,
     halton,
     segments_are_free,
 )
-from models.lego.sampler import TRAINING_FIELDS, Heatmap, Sampler, encode, select
-from models.model import load_model
+from mapdata.models.lego.sampler import TRAINING_FIELDS, Heatmap, Sampler, encode, select
+from mapdata.models.model import WEIGHTS, load_model
 
 ROOT = Path(__file__).parents[3]
-WEIGHTS = sorted(
-    [*ROOT.glob("models/weights/lego_*.pt"), *ROOT.glob("models/weights/shortest_path_*.pt")]
-)
+SHIPPED = sorted([*WEIGHTS.glob("lego_*.pt"), *WEIGHTS.glob("shortest_path_*.pt")])
 DUNGEON = MapSpec.preset("dungeon")
 Points: TypeAlias = npt.NDArray[np.float64]
 QUICK = Mining(dense=400, sizes=(24,))
@@ -276,7 +274,7 @@ def test_the_bank_is_mined_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert module.bank is not None
     again = fixed_problems(30, experience=tmp_path)
     with monkeypatch.context() as patch:
-        patch.setattr("models.lego.experience.mine", None)  # mining again would fail
+        patch.setattr("mapdata.models.lego.experience.mine", None)  # mining again would fail
         again.setup("fit")
         module.setup("fit")
     bank = again.bank
@@ -825,16 +823,16 @@ def test_training_script(main: Callable[[str], Main]) -> None:
 def test_the_weights_are_there() -> None:
     """There are at least three files, of a few MB together, and all of them load."""
     names = {"lego_cvae", "lego_heatmap", "shortest_path_heatmap"}
-    assert names <= {file.stem for file in WEIGHTS}
-    assert sum(file.stat().st_size for file in WEIGHTS) < 6_000_000
-    for file in WEIGHTS:
+    assert names <= {file.stem for file in SHIPPED}
+    assert sum(file.stat().st_size for file in SHIPPED) < 6_000_000
+    for file in SHIPPED:
         assert file.stem.startswith(load(file).targets)
 
 
 @pytest.mark.soak
 def test_the_weights_that_ship() -> None:
     """On problems that were in no training they solve the shares that docs/samplers.md states."""
-    rows = contenders({file.stem: load(file) for file in WEIGHTS})
+    rows = contenders({file.stem: load(file) for file in SHIPPED})
     table = compare(rows, unseen_problems(600), bootstrap=1)
     success = table.set_index(["sampler", "subset", "n"])["success"]
     assert success["lego_heatmap", "all", 50] > success["shortest_path_heatmap", "all", 50]

@@ -1,0 +1,221 @@
+"""Compare planners or samplers in one table: python -m mapdata.models.evaluate NAME.
+
+NAME is one of
+
+    planners    classical planners, and those that follow a network
+    samplers    samplers of roadmaps, which need scipy
+
+For example:
+
+    python -m mapdata.models.evaluate planners --preset dungeon --maps 600 --seed 77
+    python -m mapdata.models.evaluate samplers --preset dungeon --maps 1000 --seed 77
+    python -m mapdata.models.evaluate planners --help
+
+In a checkout scripts/evaluate_planners.py and scripts/evaluate_sampler.py take the same arguments,
+without the name.
+
+The path predictors that ship are among the planners: there are weights for 4 moves, and for 8
+moves whose diagonals cost sqrt(2), with and without --corner-cutting. For another movement, name
+weights of your own with --weights.
+
+The trained samplers in models/weights are among the samplers: lego_*.pt and shortest_path_*.pt.
+Roadmaps have n vertices in all. Half of them are Halton's, except in the rows halton and uniform,
+and in those whose names end in _alone.
+"""
+
+from __future__ import annotations
+
+from mapdata.interrupts import exit_on_interrupt
+
+if __name__ == "__main__":
+    exit_on_interrupt()  # before the imports, which take seconds
+
+import math
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from matplotlib.figure import Figure
+
+from mapdata import PRESETS, evaluation
+from mapdata.cli import check_outputs, load_problems, run_parsed, write_table
+from mapdata.movement import Movement
+from mapdata.plotting import plot_planners
+
+from .command_line import run_one_of
+from .learned_planners import planners
+from .model import WEIGHTS, load_model
+from .neural_astar import NeuralAstar
+from .path_predictor import PathPredictor
+
+if TYPE_CHECKING:
+    from .lego.sampler import Sampler
+
+SHIPPED = {Movement(8): "eight", Movement(8, corner_cutting=True): "cut", Movement(4): "four"}
+"""The names of the path predictors that ship, by their movement."""
+
+PLOTTED = ("halton", "bridge", "corners_alone", "lego_cvae", "lego_heatmap", "lego_heatmap_alone")
+"""Samplers in the figure; the table has all of them."""
+
+
+def evaluate_planners(
+    root: list[str],
+    *,
+    preset: str | None = None,
+    seed: int | None = None,
+    maps: int | None = None,
+    until_hard: int | None = None,
+    connectivity: Literal[4, 8] = 8,
+    corner_cutting: bool = False,
+    diagonal_cost: float = math.sqrt(2),
+    baseline: str | None = None,
+    save: str | None = None,
+    csv: str | None = None,
+    json: str | None = None,
+    figure: str | None = None,
+    weights: str | None = None,
+) -> None:
+    """Compare planners on one problem a map, or on problems that others made.
+
+    Examples:
+      python -m mapdata.models.evaluate planners --preset dungeon --maps 600 --seed 77
+      python -m mapdata.models.evaluate planners data/maps --csv planners.csv
+      python -m mapdata.models.evaluate planners arena.map.scen
+
+    Args:
+        root: in place of --preset: datasets, of which the test split is taken; or a file, which is
+            a MovingAI .scen, an .npz of planning-datasets, or one of --save
+        preset: paper, narrow, dungeon, dungeon128, maze, cave, forest or noise, or a recipe, as a
+            file or JSON text (default: dungeon)
+        seed: 64-bit seed of maps and problems (default: 77, or the recipe's), or of the starts of
+            planning-datasets
+        maps: how many maps (default: 600, or the recipe's; of a dataset, all), or at most how many
+            problems of a .scen, evenly spread over it (default: all)
+        until_hard: stop at the map with this many hard problems
+        connectivity: moves
+        corner_cutting: diagonal moves beside occupied cells too
+        diagonal_cost: of diagonal moves: 1 or sqrt 2
+        baseline: name of the row whose expansions count as 1 (default: mapdata's A*)
+        save: write the problems to an .npz, which takes the place of a dataset another time
+        csv: write the table to a file
+        json: write the table as a list of rows
+        figure: draw cost ratio against expansions on the hard problems
+        weights: file of a path predictor or Neural A* (default: the one that ships)
+    """
+    check_outputs(save, csv, json, figure)
+    movement = Movement(connectivity, corner_cutting, diagonal_cost)
+    is_preset = preset is None or preset in PRESETS
+    if not root and maps is None and until_hard is None and is_preset:
+        maps = 600
+    problems = load_problems(root, preset, seed, maps, until_hard=until_hard, movement=movement)
+    if save is not None:
+        problems.save(save)
+    rows = evaluation.classical(problems.movement)
+    model: PathPredictor | NeuralAstar | None = None
+    if weights is not None:
+        model = load_weights(weights)
+        if model.movement != problems.movement:
+            raise ValueError(
+                f"weights: {weights} are for {model.movement}, the problems for {problems.movement}"
+            )
+    elif problems.movement in SHIPPED:
+        model = PathPredictor.pretrained(SHIPPED[problems.movement])
+    if isinstance(model, PathPredictor):
+        rows += planners(model)
+    elif model is not None:
+        rows.append(model)
+    table = evaluation.evaluate(rows, problems, baseline=baseline)
+    print(f"{problems.description}; {problems.movement}; set {problems.content_hash[:12]}\n")
+    print(evaluation.to_text(table))
+    write_table(table, csv, json)
+    if figure is not None:
+        canvas = Figure(figsize=(7, 6), layout="constrained")
+        subset = "hard" if problems.hard.any() else "all"
+        plot_planners(table, canvas.add_subplot(), subset=subset)
+        canvas.savefig(figure, dpi=150)
+
+
+def load_weights(file: str) -> PathPredictor | NeuralAstar:
+    """Return the model in a file of weights."""
+    model = load_model(file, PathPredictor, NeuralAstar)
+    assert isinstance(model, (PathPredictor, NeuralAstar))
+    return model
+
+
+def evaluate_samplers(
+    root: list[str],
+    *,
+    preset: str | None = None,
+    seed: int | None = None,
+    maps: int | None = None,
+    sizes: list[int] | None = None,
+    csv: str | None = None,
+    json: str | None = None,
+    figure: str | None = None,
+    weights: str | None = None,
+) -> None:
+    """Compare samplers of roadmaps on one problem a map: of new maps, or of a dataset's test split.
+
+    Examples:
+      python -m mapdata.models.evaluate samplers --preset dungeon --maps 1000 --seed 77
+      python -m mapdata.models.evaluate samplers data/maps --sizes 24 50
+
+    Args:
+        root: datasets, in place of --preset and --seed
+        preset: paper, narrow, dungeon, dungeon128, maze, cave, forest or noise, or a recipe, as a
+            file or JSON text (default: dungeon)
+        seed: 64-bit seed of maps and problems (default: 77, or the recipe's)
+        maps: how many maps (default: 1000, or the recipe's; of a dataset, all)
+        sizes: numbers of vertices (default: 24 50 100)
+        csv: write the table to a file
+        json: write the table as a list of rows
+        figure: draw success against the number of vertices
+        weights: folder of the trained samplers (default: those that ship)
+    """
+    from .lego.comparison import SIZES, compare, contenders, plot_success, to_text
+
+    check_outputs(csv, json, figure)
+    if weights is not None and not Path(weights).is_dir():
+        raise ValueError(f"weights: there is no folder {weights}")
+    rows = contenders(learned_samplers(Path(weights or WEIGHTS)))
+    if not root and maps is None and (preset is None or preset in PRESETS):
+        maps = 1000
+    problems = load_problems(root, preset, seed, maps, movement=Movement(8))
+    table = compare(rows, problems, sorted(set(sizes or SIZES)))
+    print(
+        f"{problems.description}; a cell's centre is its coordinate + 0.5; hardness by "
+        f"{problems.movement}\n"
+    )
+    print(to_text(table))
+    write_table(table, csv, json)
+    if figure is not None:
+        canvas = Figure(figsize=(7, 6), layout="constrained")
+        plotted = table[table["sampler"].isin(PLOTTED)]
+        subset = "hard" if problems.hard.any() else "all"
+        plot_success(plotted, canvas.add_subplot(), subset)
+        canvas.savefig(figure, dpi=150)
+
+
+def learned_samplers(folder: Path) -> dict[str, Sampler]:
+    """Return the samplers whose weights are in a folder, by the names of their files."""
+    from .lego.cvae import CVAE
+    from .lego.sampler import Heatmap
+
+    files = sorted([*folder.glob("lego_*.pt"), *folder.glob("shortest_path_*.pt")])
+    return {file.stem: load_model(file, Heatmap, CVAE) for file in files}
+
+
+COMMANDS = {
+    "planners": partial(run_parsed, evaluate_planners, root=[]),
+    "samplers": partial(run_parsed, evaluate_samplers, root=[]),
+}
+"""What each name compares."""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit with its code."""
+    run_one_of("python -m mapdata.models.evaluate", COMMANDS, __doc__, arguments)
+
+
+if __name__ == "__main__":
+    main()
