@@ -38,12 +38,13 @@ FOLDERS = (
     "plotting",
     "formats",
     "datasets",
+    "export",
     "evaluation",
     "cli",
 )
 """Each imports only from the ground files and from the folders before it."""
 
-NOT_FROM = {"problems": {"describe"}, "evaluation": {"datasets"}}
+NOT_FROM = {"problems": {"describe"}, "evaluation": {"datasets", "export"}}
 """Folders that stand beside each other: neither imports the other."""
 
 

@@ -15,7 +15,7 @@ from dataclasses import fields, replace
 from typing import Literal
 
 from mapdata._version import __version__
-from mapdata.cli import convert
+from mapdata.cli import convert, export
 from mapdata.cli.common import (
     Command,
     DisagreeError,
@@ -56,8 +56,8 @@ def build_command(
         root: folder of the dataset
         maps: how many maps (default: 10000, or the recipe's)
         seed: 64-bit seed (default: 0, or the recipe's)
-        preset: paper, narrow, dungeon, dungeon128, maze, cave, forest or noise (default:
-            paper); 'mapdata list' describes them
+        preset: paper, narrow, dungeon, dungeon128, maze, maze15, maze30, cave, forest or noise
+            (default: paper); 'mapdata list' describes them
         map_size: rows and columns of a map, in place of the preset's
         recipe: which maps: a preset's name, a file that holds what 'mapdata info ROOT --recipe'
             prints, or such JSON text
@@ -285,11 +285,11 @@ VERBS: dict[str, Command] = {
     "show": show_command,
     "report": report_command,
     "import": convert.import_command,
-    "export": convert.export_command,
+    "export": export.export_command,
     "check-scen": convert.check_scen_command,
 }
 
-FORMAT_FLAGS = {"import": convert.add_import_flags, "export": convert.add_export_flags}
+FORMAT_FLAGS = {"import": convert.add_import_flags, "export": export.add_export_flags}
 """Functions that add the flags of foreign formats to a verb's parser."""
 
 WITHOUT_FAMILIES = ("import", "check-scen")

@@ -1,4 +1,4 @@
-"""The verbs ``mapdata import``, ``mapdata export`` and ``mapdata check-scen``.
+"""The verbs ``mapdata import`` and ``mapdata check-scen``.
 
 The options of the formats are the keyword-only parameters of their functions, spelled
 ``--<format>.<option>``.
@@ -51,11 +51,11 @@ def import_command(
     from mapdata.formats.registry import functions_by_format
     from mapdata.options import options_of
 
-    movement = _movement(connectivity, corner_cutting, diagonal_cost)
+    movement = movement_of_flags(connectivity, corner_cutting, diagonal_cost)
     check_count("--max-pixels", max_pixels)
     format_name = options.pop("format") or recognise(src)
     import_options = {name: options.pop(name) for name in _IMPORT_OPTIONS}
-    format_options = _unprefixed_options(format_name, options)
+    format_options = unprefixed_options(format_name, options)
     # Options such as --resolution and --seed-points also go to a format that knows them.
     for name in options_of(functions_by_format("read")[format_name]):
         if name in import_options:
@@ -80,7 +80,7 @@ def import_command(
             print(f"  {column}: {count:,} disagree")
 
 
-def _unprefixed_options(format_name: str, options: dict[str, Any]) -> dict[str, Any]:
+def unprefixed_options(format_name: str, options: dict[str, Any]) -> dict[str, Any]:
     """Return the options of a format without the prefix ``<format>.`` of their flags.
 
     Raises:
@@ -93,7 +93,7 @@ def _unprefixed_options(format_name: str, options: dict[str, Any]) -> dict[str, 
     return {name.removeprefix(prefix): value for name, value in options.items()}
 
 
-def _movement(
+def movement_of_flags(
     connectivity: int | None, corner_cutting: bool, diagonal_cost: float | None
 ) -> Movement | None:
     """Return the movement that the flags describe; None without ``--connectivity``.
@@ -110,27 +110,6 @@ def _movement(
     if diagonal_cost is None:
         return Movement(connectivity, corner_cutting)
     return Movement(connectivity, corner_cutting, diagonal_cost)
-
-
-def export_command(root: list[str], dst: str, **options: Any) -> None:
-    """Write a dataset in a foreign format.
-
-    Examples:
-      mapdata export data/maps release --format paper
-      mapdata export data/maps maps.npz --format planning-datasets
-
-    Args:
-        root: folder or URL of the dataset, or several
-        dst: new folder; for planning-datasets a new .npz file
-        **options: those of the formats
-    """
-    from mapdata.formats import export
-
-    format_name = options.pop("format")
-    format_options = _unprefixed_options(format_name, options)
-    for note in export(root, dst, format_name, progress=True, **format_options):
-        print(f"note: {note}")
-    print(f"wrote {dst}")
 
 
 def check_scen_command(file: list[str], *, maps: str | None = None) -> None:
@@ -192,19 +171,10 @@ def add_import_flags(parser: argparse.ArgumentParser) -> None:
     options = options_of(import_maps)
     for name in _IMPORT_OPTIONS:
         add_flag(parser, name, options[name], options[name].default)
-    _add_format_options(parser, formats)
+    add_format_options(parser, formats)
 
 
-def add_export_flags(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of ``mapdata export`` for the options of all formats."""
-    from mapdata.formats.registry import functions_by_format
-
-    formats = functions_by_format("write")
-    parser.add_argument("--format", choices=formats, required=True, help="what to write")
-    _add_format_options(parser, formats)
-
-
-def _add_format_options(
+def add_format_options(
     parser: argparse.ArgumentParser, formats: dict[str, Callable[..., Any]]
 ) -> None:
     """Add the options of each format as flags, in a group under its name.

@@ -14,6 +14,7 @@ from mapdata.datasets.info import DatasetInfo, FieldInfo
 from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.sample import Sample, row
 from mapdata.datasets.sampler import EpochSampler, LateLoader
+from mapdata.datasets.text import maze_text
 
 if TYPE_CHECKING:
     from mapdata.datasets.datamodule import MapDataModule
@@ -30,6 +31,7 @@ __all__ = [
     "OnlineMapDataset",
     "Sample",
     "Waypoints",
+    "maze_text",
     "row",
 ]
 

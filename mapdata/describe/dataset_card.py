@@ -9,7 +9,7 @@ import json
 import os
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from html import escape
 from typing import NamedTuple
 
@@ -64,16 +64,12 @@ class Section(NamedTuple):
 def card(
     root: Locations,
     *,
-    files: Mapping[str, str] | None = None,
-    extra: Sequence[Section] = (),
     progress: bool = False,
 ) -> str:
     """Return the card of a dataset as Markdown, with the front matter of the Hugging Face Hub.
 
     Args:
         root: folder or URL of the dataset, or several.
-        files: for a copy that ``datasets.load_dataset`` reads, a file pattern for each split.
-        extra: sections that follow the facts, such as the meaning of the columns of that copy.
         progress: show a progress bar.
 
     Raises:
@@ -81,17 +77,14 @@ def card(
         ShardError: a shard is missing or damaged.
     """
     statistics = dataset_statistics(root, repeats=True, progress=progress)
-    introduction, facts, *other_sections = sections(statistics, copied=files is not None)
-    parts = [_front_matter(statistics, files), _markdown(introduction, level=1)]
-    parts += [_markdown(section, level=2) for section in (facts, *extra, *other_sections)]
+    introduction, *other_sections = sections(statistics)
+    parts = [_front_matter(statistics), _markdown(introduction, level=1)]
+    parts += [_markdown(section, level=2) for section in other_sections]
     return "\n".join(parts)
 
 
-def _front_matter(statistics: DatasetStatistics, files: Mapping[str, str] | None) -> str:
-    """Return the YAML block that the Hub reads; the publisher adds the licence.
-
-    ``files`` is that of `card`.
-    """
+def _front_matter(statistics: DatasetStatistics) -> str:
+    """Return the YAML block that the Hub reads; the publisher adds the licence."""
     bounds = 10 ** np.arange(3, 8)
     size = _SIZE_CATEGORIES[np.digitize(len(statistics), bounds)]
     properties: dict[str, object] = {
@@ -101,9 +94,6 @@ def _front_matter(statistics: DatasetStatistics, files: Mapping[str, str] | None
         "size_categories": [size],
         "annotations_creators": ["machine-generated"],
     }
-    if files is not None:
-        data_files = [{"split": split, "path": path} for split, path in files.items()]
-        properties["configs"] = [{"config_name": "default", "data_files": data_files}]
     # JSON is also YAML, and escapes whatever a name from a file contains.
     lines = [
         f"{name}: {json.dumps(value, ensure_ascii=False)}\n" for name, value in properties.items()
@@ -118,12 +108,11 @@ def title(statistics: DatasetStatistics) -> str:
     return f"{names}: {len(statistics):,} grid maps of {rows} x {columns} cells"
 
 
-def sections(statistics: DatasetStatistics, *, copied: bool = False) -> list[Section]:
+def sections(statistics: DatasetStatistics) -> list[Section]:
     """Return the sections of a dataset's card.
 
     Args:
         statistics: of the dataset, from `dataset_statistics` with ``repeats=True``.
-        copied: whether the card is for a copy in another format rather than for the shards.
     """
     root = statistics.root
     names = _folder_names(statistics)
@@ -135,13 +124,13 @@ def sections(statistics: DatasetStatistics, *, copied: bool = False) -> list[Sec
             provenance.append(_rebuild_section(name, manifest, manifest.generator))
     return [
         Section(title(statistics), _introduction(statistics)),
-        _facts_section(statistics, copied),
+        _facts_section(statistics),
         *provenance,
         _splits_section(statistics),
         _shares_section(statistics),
         _distributions_section(statistics),
         _duplicates_section(statistics),
-        _usage_section(statistics, copied),
+        _usage_section(statistics),
         Section("Citation", _citation_request(statistics), code=CITATION, language="bibtex"),
     ]
 
@@ -165,10 +154,10 @@ def _introduction(statistics: DatasetStatistics) -> str:
     return text
 
 
-def _facts_section(statistics: DatasetStatistics, copied: bool) -> Section:
+def _facts_section(statistics: DatasetStatistics) -> Section:
     """Return a table of facts with a column for each folder; empty rows are left out."""
     names = _folder_names(statistics)
-    facts_by_folder = [_manifest_facts(manifest, copied) for manifest in statistics.root.manifests]
+    facts_by_folder = [_manifest_facts(manifest) for manifest in statistics.root.manifests]
     rows = [("", *names) if len(names) > 1 else ("", "")]
     for fact in facts_by_folder[0]:
         cells = [facts[fact] for facts in facts_by_folder]
@@ -177,21 +166,18 @@ def _facts_section(statistics: DatasetStatistics, copied: bool) -> Section:
     return Section("What it is", table=rows)
 
 
-def _manifest_facts(manifest: Manifest, copied: bool) -> dict[str, str]:
+def _manifest_facts(manifest: Manifest) -> dict[str, str]:
     """Return the facts about the dataset of one manifest by name; an unknown fact is empty."""
     rows, columns = manifest.map_size
-    facts = {
+    size = sum(entry.bytes for entry in manifest.shards)
+    return {
         "maps": f"{manifest.done:,} in {counted(len(manifest.shards), 'shard')}",
         "map size": f"{rows} rows x {columns} columns, {manifest.resolution:g} m per cell",
         "cells": "(row, col), origin upper left",
         "polarity": "1 occupied, 0 free",
         "movement": movement_text(manifest.movement),
-    }
-    if not copied:
-        size = sum(entry.bytes for entry in manifest.shards)
-        facts["size on disk"] = f"{size / 1e6:,.2f} MB"
-        facts["format"] = f"mapdata shards (HDF5), version {manifest.format_version}"
-    return facts | {
+        "size on disk": f"{size / 1e6:,.2f} MB",
+        "format": f"mapdata shards (HDF5), version {manifest.format_version}",
         "preset": _preset_name(manifest.generator),
         "seed": "" if manifest.seed is None else str(manifest.seed),
         "identity": manifest.identity or "none: imported maps are what their content hash says",
@@ -353,19 +339,16 @@ def _leak_text(exact: Repeats, symmetric: Repeats) -> str:
     return "No map is in two splits, not even turned or mirrored."
 
 
-def _usage_section(statistics: DatasetStatistics, copied: bool) -> Section:
-    """Return the code that loads the dataset, or its copy."""
+def _usage_section(statistics: DatasetStatistics) -> Section:
+    """Return the code that loads the dataset."""
     names = _folder_names(statistics)
     root = repr(names[0] if len(names) == 1 else names)
-    if copied:
-        code = f'from datasets import load_dataset\n\ntrain = load_dataset({root}, split="train")'
-    else:
-        code = (
-            "from mapdata import MapDataModule, MapDataset\n\n"
-            f'train = MapDataset({root}, split="train")\n'
-            "map, start, goal, path = train[0]\n"
-            f"loaders = MapDataModule({root})  # for pytorch-lightning"
-        )
+    code = (
+        "from mapdata import MapDataModule, MapDataset\n\n"
+        f'train = MapDataset({root}, split="train")\n'
+        "map, start, goal, path = train[0]\n"
+        f"loaders = MapDataModule({root})  # for pytorch-lightning"
+    )
     return Section("Use it", code=code, language="python")
 
 

@@ -5,7 +5,6 @@ line takes the options of a format from the keyword-only parameters of its funct
 """
 
 from mapdata.formats import (
-    huggingface,
     images,
     maze_hard,
     movingai,
@@ -31,7 +30,7 @@ from mapdata.npy import FormatError
 
 # The order matters: if several formats recognise a file, it belongs to the last of them. The format
 # images comes first, since the others know better what some pictures and arrays mean.
-for _module in (images, paper, movingai, ros, planning, transpath, maze_hard, huggingface):
+for _module in (images, paper, movingai, ros, planning, transpath, maze_hard):
     register(_module.FORMAT)
 
 __all__ = [

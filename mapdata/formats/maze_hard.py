@@ -16,8 +16,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -26,12 +24,9 @@ from mapdata.arrays import Bytes, Ints
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, SPLIT_NAMES, Limits, check_file, files_with_endings
 from mapdata.formats.registry import Format
-from mapdata.limits import SPLITS
 from mapdata.movement import Movement
 from mapdata.npy import FormatError
 from mapdata.search.api import astar
-from mapdata.search.labels import Labels
-from mapdata.shards.root import Root
 
 HEADER = "source,question,answer,rating"
 
@@ -88,7 +83,7 @@ def _parse_maze(name: str, line: str, split: int | None, limits: Limits) -> Fore
     _, question, answer, _ = fields
     if not _QUESTION.fullmatch(question):
         raise FormatError(f"{name}: expected cells '#' and ' ', one S and one G")
-    cells = _square_of_cells(question)
+    cells = _grid_of_cells(question)
     wrong_labels = [] if is_shortest_answer(question, answer) else ["answer"]
     return ForeignMap(
         name,
@@ -103,10 +98,14 @@ def _parse_maze(name: str, line: str, split: int | None, limits: Limits) -> Fore
 def is_shortest_answer(question: str, answer: str) -> bool:
     """Return whether an answer marks a shortest path.
 
-    Most problems have many shortest paths, and a model may find another one than the file has.
+    Many problems have several shortest paths, and a model may find another one than the file has.
+
+    Raises:
+        FormatError: the question is no map.
 
     Args:
-        question: the cells of a square map, row by row, with one S and one G.
+        question: the cells of a map, row by row, with one S and one G. Rows are lines, as in
+            `mapdata.datasets.maze_text`, or follow one another in a square map.
         answer: the question with some free cells marked by "o", as a model returns it.
 
     >>> answers = ("Soo #o  G", "S  o# ooG", "S   #   G")
@@ -115,7 +114,7 @@ def is_shortest_answer(question: str, answer: str) -> bool:
     """
     if answer.replace("o", " ") != question:
         return False
-    cells = _square_of_cells(answer)
+    cells = _grid_of_cells(answer)
     start, goal = _start_and_goal(cells)
     shortest_cost = astar(cells == _OCCUPIED, start, goal).cost
     # If all cells that are not marked are occupied, a path can only use marked cells. It uses all
@@ -126,12 +125,18 @@ def is_shortest_answer(question: str, answer: str) -> bool:
     return shortest_cost == marked_cost == moves
 
 
-def _square_of_cells(text: str) -> Bytes:
-    """Return the characters of a square map as ASCII codes, (side, side) uint8.
+def _grid_of_cells(text: str) -> Bytes:
+    """Return the characters of a map as ASCII codes, (H, W) uint8.
 
     Raises:
-        FormatError: their number is not a square.
+        FormatError: lines of several lengths; without lines, not as many characters as a square.
     """
+    lines = text.split("\n")
+    if len(lines) > 1:
+        if len(set(map(len, lines))) != 1:
+            raise FormatError("got lines of several lengths, expected one length")
+        codes = np.frombuffer("".join(lines).encode("latin-1"), np.uint8)
+        return codes.reshape(len(lines), -1)
     side = math.isqrt(len(text))
     if side * side != len(text):
         raise FormatError(f"got {len(text)} cells, expected a square map")
@@ -143,43 +148,4 @@ def _start_and_goal(cells: Bytes) -> Ints:
     return np.concatenate([np.argwhere(cells == _START), np.argwhere(cells == _GOAL)])
 
 
-def write(target: Path, root: Root, progress: bool) -> list[str]:
-    """Write train.csv, val.csv and test.csv: a line for each segment of a route that has a path.
-
-    Raises:
-        ValueError: maps that are not square, or diagonal moves.
-    """
-    rows, columns = root.map_size
-    if rows != columns or root.movement.connectivity != 4:
-        raise ValueError(
-            f"maze-hard: got maps of {rows} x {columns} cells and {root.movement}, expected square "
-            "maps and 4-connected paths"
-        )
-    target.mkdir()
-    with ExitStack() as stack:
-        paths = [target / f"{split}.csv" for split in SPLITS]
-        files = [stack.enter_context(path.open("w", newline="\n")) for path in paths]
-        for file in files:
-            print(HEADER, file=file)
-        for labels in root.labels(progress=progress):
-            for k, code in enumerate(labels.maps.split):
-                files[code].writelines(_lines_of_map(labels, k))
-    return []
-
-
-def _lines_of_map(labels: Labels, k: int) -> Iterator[str]:
-    """Yield a line for each segment of the route on map ``k`` of a batch, if it has a path."""
-    without_path = np.where(labels.maps.occupancy[k], _OCCUPIED, _FREE)
-    for path in labels.route("astar", k):
-        if len(path) < 2:  # no path, or two seed points in the same cell
-            continue
-        cells = without_path.copy()
-        cells[tuple(path.T)] = _PATH
-        cells[tuple(path[0])] = _START
-        cells[tuple(path[-1])] = _GOAL
-        answer = cells.tobytes().decode()
-        question = answer.replace("o", " ")
-        yield f"map{labels.maps.index[k]},{question},{answer},{len(path) - 1}\n"
-
-
-FORMAT = Format("maze-hard", (".csv",), read, write, recognises=is_maze_hard)
+FORMAT = Format("maze-hard", (".csv",), read, recognises=is_maze_hard)

@@ -55,7 +55,7 @@ class Maze(Scattered):
         _carve_maze(grid, seed, index, (self.corridor, self.wall), threshold(self.reopened))
 
 
-PRESETS = {"maze": Maze()}
+PRESETS = {"maze": Maze(), "maze15": Maze((15, 15)), "maze30": Maze((30, 30))}
 
 
 @kernel

@@ -489,7 +489,7 @@ def test_a_recipe_of_an_unfinished_dataset_is_true(
         ("unknown flag --shard-sise; did you mean --shard-size?", ["--shard-sise", "3"]),
         ("unknown flag --preste; did you mean --preset?", ["--preste=narrow"]),
         ("unknown flag --see; did you mean --seed?", ["--see", "3"]),
-        ("dungeon128, maze, cave, forest, noise; did you mean dungeon?", ["--preset", "dungoen"]),
+        ("maze30, cave, forest, noise; did you mean dungeon?", ["--preset", "dungoen"]),
     ],
 )
 def test_bad_flags_of_build_are_refused_in_one_line(

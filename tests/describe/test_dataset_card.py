@@ -18,7 +18,7 @@ from helpers.samples import SPEC, WIDE, build_small
 from mapdata import MapDataset, MapSpec, Maze, Movement, Pairs, Route, build, verify
 from mapdata.cli import main
 from mapdata.describe import card
-from mapdata.describe.dataset_card import Section, movement_text
+from mapdata.describe.dataset_card import movement_text
 from mapdata.limits import SPLITS
 from mapdata.shards import MANIFEST, PROVENANCE, read_manifest
 
@@ -185,23 +185,6 @@ def test_command_writes_the_card_beside_the_data(
     with pytest.raises(SystemExit) as ended:
         main(["info", root, "--card", "--recipe"])
     assert ended.value.code == 2
-
-
-def test_the_card_of_a_copy_says_where_its_splits_lie(tmp_path: Path) -> None:
-    """Front matter for `datasets`, what columns mean behind the facts, nothing about shards."""
-    root = build_small(tmp_path / "d", maps=5)
-    columns = Section("Columns", table=(("column", "meaning"), ("map", "1 occupied, 0 free")))
-    text = card(root, files={"train": "data/train-*.parquet"}, extra=[columns])
-    data_files = [{"split": "train", "path": "data/train-*.parquet"}]
-    assert front_matter(text)["configs"] == [{"config_name": "default", "data_files": data_files}]
-    assert "configs" not in front_matter(card(root))
-    assert table(text, "Columns")["map"] == ["1 occupied, 0 free"]
-    assert text.index("## What it is") < text.index("## Columns") < text.index("## Make it again")
-    assert "size on disk" not in table(text, "What it is")
-    assert (
-        block(text, "python")
-        == "from datasets import load_dataset\n\ntrain = load_dataset('d', split=\"train\")"
-    )
 
 
 def test_only_maps_of_the_paper_are_cited_as_its_maps(tmp_path: Path) -> None:

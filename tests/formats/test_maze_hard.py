@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mapdata import MapDataset, MapSpec, Maze, Movement, astar, build, generate
+from mapdata.export import export_problems
 from mapdata.formats import (
     Limits,
-    export,
     import_maps,
     is_shortest_answer,
     read_any,
@@ -50,7 +50,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_converter_of_hrm_reads_what_we_write(root: Path, tmp_path: Path) -> None:
     """Each segment of each split comes in order, with the same map, ends and path."""
-    export(root, tmp_path / "out", "maze-hard")
+    export_problems(root, tmp_path / "out", format="maze-hard", problems="route")
     for split in ("train", "val", "test"):
         inputs, labels = convert(tmp_path / "out" / f"{split}.csv")
         stored = MapDataset(root, split)
@@ -68,7 +68,7 @@ def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     is confirmed.
     """
     out = tmp_path / "out"
-    assert cli(capsys, "export", root, out, "--format", "maze-hard")[0] == 0
+    assert cli(capsys, "export", root, out, "--format", "maze-hard", "--problems", "route")[0] == 0
     assert recognise(out) == "maze-hard"
     code, _, _ = cli(capsys, "import", out, tmp_path / "back")
     assert code == 0
@@ -80,7 +80,7 @@ def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 def test_wrong_answers_are_counted(root: Path, tmp_path: Path) -> None:
     """The import compares each answer with all shortest paths."""
-    export(root, tmp_path / "out", "maze-hard")
+    export_problems(root, tmp_path / "out", format="maze-hard", problems="route")
     lines = (tmp_path / "out" / "test.csv").read_text().splitlines()
     source, question, answer, rating = lines[1].split(",")
     lines[1] = ",".join((source, question, answer.replace("o", " ", 1), rating))
@@ -169,13 +169,17 @@ def test_maps_that_the_format_cannot_hold_are_refused(tmp_path: Path) -> None:
     """Refused are maps that are not square and diagonal moves; a CSV of another format cannot be
     read.
     """
-    for name, generator in (
-        ("wide", MapSpec((20, 31), room_rows=(3, 5), room_columns=(3, 5), passage_width=(1, 2))),
-        ("diagonal", Maze((9, 9), seed_points=2, movement=Movement(8))),
+    wide = MapSpec((20, 31), room_rows=(3, 5), room_columns=(3, 5), passage_width=(1, 2))
+    diagonal = Maze((9, 9), seed_points=2, movement=Movement(8))
+    for name, generator, movement in (
+        ("wide", wide, None),
+        ("diagonal", diagonal, Movement(8)),
     ):
         build(tmp_path / name, generator, maps=3)
         with pytest.raises(ValueError, match="expected square maps and 4-connected paths"):
-            export(tmp_path / name, tmp_path / f"{name}-out", "maze-hard")
+            export_problems(
+                tmp_path / name, tmp_path / f"{name}-out", format="maze-hard", movement=movement
+            )
     (tmp_path / "other.csv").write_text("a,b\n1,2\n")
     with pytest.raises(ValueError, match=r"no map to import: .*other.csv, line 2: expected source"):
         import_maps(tmp_path / "out", read_any(tmp_path / "other.csv", "maze-hard"))

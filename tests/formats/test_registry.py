@@ -12,6 +12,7 @@ from helpers.wild import cli
 from PIL import Image
 
 from mapdata import DatasetNotFoundError, MapSpec, ShardError, build, read_shard
+from mapdata.export import PROBLEM_FORMATS
 from mapdata.formats import (
     FORMATS,
     Collection,
@@ -35,9 +36,16 @@ def test_the_page_of_formats_lists_every_format(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The table of docs/formats.md has every format, and the Python code of the page runs."""
-    rows = re.findall(r"^\| `([a-z-]+)` \| (yes|) ?\| (yes|) ?\|", PAGE, re.MULTILINE)
-    assert {name for name, reads, _ in rows if reads} == set(functions_by_format("read"))
-    assert {name for name, _, writes in rows if writes} == set(functions_by_format("write"))
+    rows = re.findall(r"^\| (`[a-z`, -]+`) \| (yes|) ?\| (yes|problems|) ?\|", PAGE, re.MULTILINE)
+    readable: set[str] = set()
+    written: dict[str, set[str]] = {"": set(), "yes": set(), "problems": set()}
+    for names, reads, writes in rows:
+        written[writes].update(re.findall("[a-z-]+", names))
+        if reads:
+            readable.update(re.findall("[a-z-]+", names))
+    assert readable == set(functions_by_format("read"))
+    assert written["yes"] == set(functions_by_format("write"))
+    assert written["problems"] == set(PROBLEM_FORMATS)
     monkeypatch.chdir(tmp_path)
     Path("floorplans").mkdir()
     Image.fromarray(np.full((128, 128), 255, np.uint8)).save("floorplans/a.png")
@@ -61,8 +69,6 @@ def test_an_export_is_whole_or_nothing(
     format_name: str, square: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """If a shard cannot be read half-way, neither a target nor a temporary file remains."""
-    if format_name == "huggingface":
-        pytest.importorskip("pyarrow", reason="pip install pyarrow")
     calls = 0
     labels_of = Root.labels
 
@@ -286,6 +292,6 @@ def test_an_export_needs_a_target_name_with_the_right_ending(
     root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """An empty name is refused, and a name without .npz is quoted as the user wrote it."""
-    assert "DST: got an empty name" in cli(capsys, "export", root, "", "--format", "ros")[2]
+    assert "TARGET: got an empty name" in cli(capsys, "export", root, "", "--format", "ros")[2]
     code, _, err = cli(capsys, "export", root, tmp_path / "x", "--format", "planning-datasets")
     assert (code, err) == (2, f"mapdata: {tmp_path / 'x'}: expected a name that ends with .npz\n")

@@ -220,7 +220,7 @@ def test_every_verb_takes_mazes(
         run("show", root, "--figure", figure, "-o", tmp_path / f"{figure}.png")
     run("report", root, "-o", tmp_path / "report.html")
     assert "seed points" in (tmp_path / "report.html").read_text()
-    for kind in ("paper", "movingai", "ros", "huggingface"):
+    for kind in ("paper", "movingai", "ros", "parquet"):
         run("export", root, tmp_path / kind, "--format", kind)
     run("export", root, tmp_path / "mazes.npz", "--format", "planning-datasets")
     run("import", tmp_path / "paper", tmp_path / "back")

@@ -115,7 +115,7 @@ def script() -> None:
 
 def parquet() -> None:
     """Write what Hugging Face reads."""
-    main(["export", "few", "hub", "--format", "huggingface"])
+    main(["export", "few", "hub", "--format", "parquet"])
 
 
 def dask() -> None:

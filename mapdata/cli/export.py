@@ -1,0 +1,166 @@
+"""The verb ``mapdata export``: maps with their stored routes, or training problems."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from mapdata.problems import Random
+
+
+def export_command(
+    source: list[str],
+    target: str,
+    *,
+    fields: str | None = None,
+    split: Literal["train", "val", "test"] | None = None,
+    count: int | None = None,
+    problems: str | None = None,
+    distance: str | None = None,
+    hardness: str | None = None,
+    length: str | None = None,
+    search: Literal["astar", "bfs"] = "astar",
+    connectivity: Literal[4, 8] | None = None,
+    corner_cutting: bool = False,
+    diagonal_cost: float | None = None,
+    radius: float = 0.0,
+    augment: bool = False,
+    max_length: int | None = None,
+    seed: int | None = None,
+    sampling_seed: int = 0,
+    licence: str | None = None,
+    **options: Any,
+) -> None:
+    """Write training problems, or maps with their stored routes, for other programs.
+
+    Formats of problems: arrays (one .npy for each split and field), parquet (one row for each
+    problem, for Hugging Face datasets), maze-hard (text), and the files that the loaders of
+    transpath, gppn, vin and hrm (also TRM) read. Formats of maps: paper, movingai, ros and
+    planning-datasets.
+
+    Examples:
+      mapdata export maze data/hrm --format hrm --length 111: --count 1000
+      mapdata export dungeon data/set --format arrays --problems random --count 10000
+      mapdata export data/maps data/hub --format parquet --licence cc-by-4.0
+      mapdata export data/maps release --format paper
+
+    Args:
+        source: folder or URL of a dataset, or several; for problems also a preset or a recipe
+        target: new folder; for planning-datasets a new .npz file
+        fields: names, separated by commas (default: map,start,goal,path,cost)
+        split: only this one
+        count: problems of each split (default: all; of a preset, one on each of its 10,000 maps)
+        problems: route, pairs or random, or JSON (default: route, or what the layout's repository
+            draws; random with a band)
+        distance: costs of random problems, in cells, as MIN:MAX; a side may be left out
+        hardness: cost over heuristic of random problems, as MIN:MAX
+        length: cells of the path of random problems, as MIN:MAX
+        search: which shortest path
+        connectivity: how paths move (default: as stored, or the rule of the layout's repository)
+        corner_cutting: diagonal moves beside occupied cells too
+        diagonal_cost: 1 or 1.41421356
+        radius: of the robot, in metres
+        augment: turn and mirror the training split at random
+        max_length: for arrays, pad paths to this many cells
+        seed: of the maps of a preset or recipe
+        sampling_seed: of random problems and of --augment
+        licence: for the card of parquet, as the Hugging Face Hub writes it
+        **options: those of the formats of maps
+    """
+    from mapdata.cli.convert import movement_of_flags, unprefixed_options
+    from mapdata.export import PROBLEM_FORMATS, export_problems
+    from mapdata.formats import export
+
+    name = options.pop("format")
+    movement = movement_of_flags(connectivity, corner_cutting, diagonal_cost)
+    bands = {"distance": distance, "hardness": hardness, "length": length}
+    arguments: dict[str, Any] = {
+        "fields": None if fields is None else tuple(fields.split(",")),
+        "split": split,
+        "count": count,
+        "problems": problems_of_flags(problems, bands),
+        "search": search,
+        "movement": movement,
+        "radius": radius,
+        "augment": augment,
+        "max_length": max_length,
+        "seed": seed,
+        "sampling_seed": sampling_seed,
+        "licence": licence,
+    }
+    if name in PROBLEM_FORMATS:
+        unprefixed_options(name, options)  # refuses those of formats of maps
+        origin = source[0] if len(source) == 1 else source
+        notes = export_problems(origin, target, format=name, progress=True, **arguments)
+    else:
+        _refuse_problem_flags(name, arguments)
+        format_options = unprefixed_options(name, options)
+        notes = export(source, target, name, progress=True, **format_options)
+    for note in notes:
+        print(f"note: {note}")
+    print(f"wrote {Path(target)}")
+
+
+def problems_of_flags(problems: str | None, bands: dict[str, str | None]) -> Random | str | None:
+    """Return the problems that the flags ask for; None if they say nothing.
+
+    Raises:
+        ValueError: a band that is not MIN:MAX, or beside problems that are not random.
+    """
+    from mapdata.problems import Random
+
+    limits: dict[str, Any] = {
+        name: band_of(f"--{name}", text) for name, text in bands.items() if text is not None
+    }
+    if not limits:
+        return problems
+    if problems not in (None, "random"):
+        flags = ", ".join(f"--{name}" for name in limits)
+        raise ValueError(f"{flags}: only for --problems random, got --problems {problems}")
+    return Random(**limits)
+
+
+def band_of(flag: str, text: str) -> tuple[float | None, float | None]:
+    """Return (min, max) of a text MIN:MAX; a side that is left out is None.
+
+    Raises:
+        ValueError: the text is something else.
+    """
+    sides = text.split(":")
+    try:
+        if len(sides) == 2:
+            smallest, largest = (float(side) if side else None for side in sides)
+            return smallest, largest
+    except ValueError:
+        pass
+    raise ValueError(f"{flag}: got {text!r}, expected MIN:MAX, such as 110:, 5:20 or :30")
+
+
+def _refuse_problem_flags(name: str, arguments: dict[str, Any]) -> None:
+    """Refuse what a format of maps has no use for.
+
+    Raises:
+        ValueError: the message names the first flag.
+    """
+    defaults = {"search": "astar", "radius": 0.0, "augment": False, "sampling_seed": 0}
+    for argument, setting in arguments.items():
+        if setting != defaults.get(argument):
+            flag = "connectivity" if argument == "movement" else argument.replace("_", "-")
+            raise ValueError(
+                f"--{flag}: does nothing for format {name}, which holds maps with their stored "
+                "routes"
+            )
+
+
+def add_export_flags(parser: argparse.ArgumentParser) -> None:
+    """Add ``--format``, and the flags that the formats of maps bring."""
+    from mapdata.cli.convert import add_format_options
+    from mapdata.export import PROBLEM_FORMATS
+    from mapdata.formats.registry import functions_by_format
+
+    formats = functions_by_format("write")
+    names = [*PROBLEM_FORMATS, *(name for name in formats if name not in PROBLEM_FORMATS)]
+    parser.add_argument("--format", choices=names, required=True, help="what to write")
+    add_format_options(parser, formats)

@@ -1,0 +1,92 @@
+"""The dataset card of exported problems, with the front matter of the Hugging Face Hub."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from mapdata.datasets.fields import FIELDS
+from mapdata.export.parquet import HUB_SPLITS
+
+_SIZES = ("n<1K", "1K<n<10K", "10K<n<100K", "100K<n<1M", "1M<n<10M", "n>10M")
+"""Size categories of the Hub, parted by 10**3, 10**4, ... 10**7 rows."""
+
+
+def problem_card(
+    name: str, about: dict[str, Any], fields: Sequence[str], licence: str | None
+) -> str:
+    """Return the card of exported problems as Markdown.
+
+    Args:
+        name: of the folder.
+        about: what ``export.json`` says.
+        fields: the columns.
+        licence: identifier of the Hub; None leaves it out.
+    """
+    counts: dict[str, int] = about["problems"]
+    total = sum(counts.values())
+    lines = [_front_matter(name, counts, total, licence), f"# {name}", ""]
+    lines += [
+        f"{total:,} path-planning problems on grid maps, made by mapdata {about['mapdata']}. A row "
+        "is a problem.",
+        "",
+        "| split | problems |",
+        "|---|---|",
+        *(f"| {HUB_SPLITS[split]} | {count:,} |" for split, count in counts.items()),
+        "",
+        "## Columns",
+        "",
+        "Cells are (row, col) from the upper left; 1 is occupied, 0 is free. A row has neither the "
+        "batch axis B nor the channel axis of 1.",
+        "",
+        "| column | meaning |",
+        "|---|---|",
+        *(f"| {field} | {_meaning(field)} |" for field in fields),
+        "",
+        "## Use it",
+        "",
+        "```python",
+        "from datasets import load_dataset",
+        "",
+        f'problems = load_dataset({name!r}, split="{HUB_SPLITS[next(iter(counts))]}")',
+        'problems = problems.with_format("torch")',
+        "```",
+        "",
+        "## Where they come from",
+        "",
+        f"Content hash {about['content_hash']}.",
+        "",
+        "```json",
+        json.dumps({"origin": about["origin"], "options": about["options"]}, indent=1),
+        "```",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _front_matter(name: str, counts: dict[str, int], total: int, licence: str | None) -> str:
+    """Return the YAML block that the Hub reads."""
+    size_number = sum(total >= 10**power for power in range(3, 8))
+    data_files = [
+        {"split": HUB_SPLITS[split], "path": f"data/{HUB_SPLITS[split]}-*.parquet"}
+        for split in counts
+    ]
+    entries: dict[str, object] = {
+        "pretty_name": name,
+        "task_categories": ["robotics"],
+        "tags": ["path-planning", "occupancy-grid", "motion-planning", "mapdata"],
+        "size_categories": [_SIZES[size_number]],
+        "annotations_creators": ["machine-generated"],
+        "configs": [{"config_name": "default", "data_files": data_files}],
+    }
+    if licence is not None:
+        entries = {"license": licence, **entries}
+    # Values are written as JSON, which is YAML too.
+    lines = [f"{key}: {json.dumps(entry, ensure_ascii=False)}" for key, entry in entries.items()]
+    return "\n".join(["---", *lines, "---", ""])
+
+
+def _meaning(field: str) -> str:
+    """Return the first sentence of a field's docstring, without its name."""
+    text = (FIELDS[field].__doc__ or "").partition("\n")[0]
+    return text.partition(": ")[2].replace("|", "\\|")

@@ -1,0 +1,442 @@
+"""`export_problems`: the problems of a dataset or a recipe, as files that training code reads."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from mapdata._version import __version__
+from mapdata.checks import check_choice, check_count
+from mapdata.datasets.dataset import MapDataset, ProblemDataset
+from mapdata.datasets.online import OnlineMapDataset
+from mapdata.export.card import problem_card
+from mapdata.export.layouts import LAYOUTS, Columns, Layout
+from mapdata.export.maze_text import MazeTextWriter
+from mapdata.export.parquet import ParquetWriter
+from mapdata.export.writers import ArrayWriter, LayoutWriter, Writer
+from mapdata.generators.generator import PRESETS, MapGenerator
+from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe
+from mapdata.generators.splits import maps_of_split
+from mapdata.hashing import canonical_json
+from mapdata.limits import SPLITS
+from mapdata.movement import Movement
+from mapdata.problems.sources import Random, Source, SourceLike, plain_text, problem_source
+from mapdata.shards.files import StrPath, make_folder, sweep_temporaries, temporary_folder
+from mapdata.shards.locations import Locations, local_path
+from mapdata.shards.root import Root
+
+PROBLEM_FORMATS = ("arrays", "parquet", "maze-hard", *LAYOUTS)
+"""What `export_problems` writes."""
+
+DEFAULT_FIELDS = ("map", "start", "goal", "path", "cost")
+"""The fields that are written unless the caller names others."""
+
+ABOUT = "export.json"
+"""The file beside the data that says what they are and where they come from."""
+
+_BATCH_CELLS = 2**22
+"""Cells of the maps of a batch. The fields of a batch take some 10 to 100 bytes a cell."""
+
+_MAX_BATCH = 4096
+
+_MAZE_TEXT_FIELDS = ("map", "start", "goal", "path")
+
+
+def export_problems(
+    source: Locations | RecipeLike,
+    target: StrPath,
+    *,
+    format: str = "arrays",  # noqa: A002  (the word of pandas, Pillow and the command line)
+    fields: Sequence[str] | None = None,
+    split: str | None = None,
+    count: int | None = None,
+    problems: SourceLike | None = None,
+    search: str = "astar",
+    movement: Movement | None = None,
+    radius: float = 0.0,
+    augment: bool = False,
+    max_length: int | None = None,
+    seed: int | None = None,
+    sampling_seed: int = 0,
+    licence: str | None = None,
+    progress: bool = False,
+) -> list[str]:
+    """Write training problems to a new folder: the fields that a dataset would serve.
+
+    The problems are written in batches, so that memory stays small however many they are. The
+    folder appears when it is complete. ``export.json`` in it names the recipe or the dataset, all
+    options, and the SHA-256 of every file's content.
+
+    Args:
+        source: folder or URL of a built dataset, or several; or a preset's name, a recipe (file,
+            JSON text, mapping or `Recipe`) or a generator: its maps are then made on the fly, and
+            nothing else is stored.
+        target: name of the folder; a new one, or an empty one.
+        format: "arrays", one ``.npy`` for each split and field; "parquet", one row for each
+            problem, which Hugging Face ``datasets`` opens; "maze-hard", one line of text for each;
+            or the name of one of `LAYOUTS`, the files that another repository's loader reads.
+        fields: as in `MapDataset`, names only; default map, start, goal, path and cost. Layouts
+            have their own.
+        split: "train", "val" or "test"; None for all that the format has a place for.
+        count: problems of each split. Default: all stored ones; of a recipe, one on each of its
+            maps. Random problems may be more than maps: then the maps are used again, with new
+            problems.
+        problems: as in `MapDataset`; default "route", and in layouts what their repository draws.
+        search: as in `MapDataset`.
+        movement: as in `MapDataset`; layouts have the rule of their repository as default.
+        radius: as in `MapDataset`, in metres.
+        augment: as in `MapDataset`; the splits val and test stay as they are.
+        max_length: for "arrays", rows of ``path``, which is then one padded array. Random problems
+            are drawn no longer than this; a longer path of other problems is an error.
+        seed: of the maps of a recipe; default its own.
+        sampling_seed: as in `MapDataset`.
+        licence: for the card of "parquet", an identifier of the Hugging Face Hub, such as
+            "cc-by-4.0".
+        progress: show a progress bar.
+
+    Returns:
+        Notes for the user.
+
+    Raises:
+        DatasetNotFoundError: there is no dataset under ``source``.
+        ShardError: it is damaged.
+        ValueError: arguments that do not fit, or that would do nothing; a target that exists.
+        OSError: the disk is full or may not be written to.
+    """
+    check_choice("format", format, PROBLEM_FORMATS)
+    layout = LAYOUTS.get(format)
+    if fields is not None and format not in ("arrays", "parquet"):
+        raise ValueError(f"fields: {format} has its own fields, expected none")
+    if licence is not None and format != "parquet":
+        raise ValueError(f"licence: {format} has no card to state it, expected none")
+    if max_length is not None and format != "arrays":
+        raise ValueError(
+            f"max_length: only arrays have rows to pad; for {format} give random problems a band "
+            f'of lengths, {{"random": {{"length": [null, {max_length}]}}}}'
+        )
+    options = _Options(
+        fields=_fields_of(format, fields),
+        problems=_problems_of(format, problems, max_length),
+        search=search,
+        movement=movement or _movement_of(format),
+        radius=radius,
+        augment=augment,
+        max_length=max_length,
+        sampling_seed=sampling_seed,
+    )
+    places = _places_of(format)
+    if split is not None:
+        check_choice("split", split, SPLITS)
+        if split not in places:
+            raise ValueError(
+                f"split: {format} has no place for {split!r}, only {', '.join(places)}"
+            )
+        if layout is not None and layout.archive:
+            raise ValueError(f"split: {format} is one file of all splits, expected none")
+        places = (split,)
+    parts, origin = _open(source, options, places, split, count, seed)
+    if format in ("maze-hard", "hrm"):
+        _check_square_and_straight(format, parts[0].dataset)
+    with _new_folder(local_path(target)) as folder:
+        writer = _writer(format, folder, options, parts)
+        _write(parts, writer, progress)
+        counts = {part.split: part.count for part in parts}
+        files = writer.finish(counts, parts[0].dataset.map_size)
+        about = {
+            "mapdata": __version__,
+            "format": format,
+            "origin": origin,
+            "options": {**options.plain(), "movement": asdict(parts[0].dataset.movement)},
+            "problems": counts,
+            "files": files,
+            "content_hash": sha256(canonical_json(files).encode()).hexdigest(),
+        }
+        (folder / ABOUT).write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+        if format == "parquet":
+            card = problem_card(local_path(target).name, about, options.fields, licence)
+            (folder / "README.md").write_text(card, encoding="utf-8", newline="\n")
+    return _notes(parts)
+
+
+@dataclass(frozen=True)
+class _Options:
+    """The arguments of an export that datasets take, by the same names."""
+
+    fields: tuple[str, ...]
+    problems: Source
+    search: str
+    movement: Movement | None
+    radius: float
+    augment: bool
+    max_length: int | None
+    sampling_seed: int
+
+    def serving(self, split: str) -> dict[str, Any]:
+        """Return the arguments of the dataset of a split."""
+        has_path = "path" in self.fields
+        return {
+            **vars(self),
+            "augment": self.augment and split == "train",
+            "max_length": self.max_length if has_path else None,
+        }
+
+    def plain(self) -> dict[str, Any]:
+        """Return the arguments as plain values for JSON, but for the movement."""
+        return {**vars(self), "problems": plain_text(self.problems)}
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The problems of one split, in the order in which they are written.
+
+    Attributes:
+        split: "train", "val" or "test".
+        dataset: serves them.
+        count: how many are written. Problem i is number ``i % len(dataset)`` of epoch ``i //
+            len(dataset)``.
+    """
+
+    split: str
+    dataset: ProblemDataset
+    count: int
+
+    def batches(self) -> Iterator[Columns]:
+        """Yield the fields of all problems, a batch at a time."""
+        rows, columns = self.dataset.map_size
+        batch_size = min(max(_BATCH_CELLS // (rows * columns), 1), _MAX_BATCH)
+        length = len(self.dataset)
+        first = 0
+        while first < self.count:
+            end_of_epoch = (first // length + 1) * length
+            last = min(first + batch_size, end_of_epoch, self.count)
+            batch = self.dataset.__getitems__(range(first, last)).batch
+            yield {name: getattr(batch, name).numpy() for name in batch._fields}
+            first = last
+
+
+def _fields_of(format: str, fields: Sequence[str] | None) -> tuple[str, ...]:  # noqa: A002
+    """Return the fields that a format is made of."""
+    if format in LAYOUTS:
+        return LAYOUTS[format].fields
+    if format == "maze-hard":
+        return _MAZE_TEXT_FIELDS
+    if fields is None:
+        return DEFAULT_FIELDS
+    for field in fields:
+        if not isinstance(field, str):
+            raise ValueError(f"fields: got {field!r}, expected names of fields")
+    return tuple(fields)
+
+
+def _problems_of(
+    format: str,  # noqa: A002
+    problems: SourceLike | None,
+    max_length: int | None,
+) -> Source:
+    """Return which problems are written; random ones are drawn no longer than ``max_length``."""
+    if problems is None:
+        layout = LAYOUTS.get(format)
+        problems = "random" if format == "maze-hard" else "route"
+        if layout is not None:
+            problems = layout.problems
+    source = problem_source(problems)
+    if max_length is not None and isinstance(source, Random):
+        check_count("max_length", max_length)
+        min_cells, max_cells = source.length or (None, None)
+        if max_cells is None or max_cells > max_length:
+            source = replace(source, length=(min_cells, max_length))
+    return source
+
+
+def _movement_of(format: str) -> Movement | None:  # noqa: A002
+    """Return the movement of a format's repository; None for that of the dataset."""
+    if format == "maze-hard":
+        return Movement(4)
+    return LAYOUTS[format].movement if format in LAYOUTS else None
+
+
+def _places_of(format: str) -> tuple[str, ...]:  # noqa: A002
+    """Return the splits that a format has a place for."""
+    return tuple(LAYOUTS[format].splits) if format in LAYOUTS else SPLITS
+
+
+def _open(
+    source: Any,
+    options: _Options,
+    splits: tuple[str, ...],
+    split: str | None,
+    count: int | None,
+    seed: int | None,
+) -> tuple[list[_Part], dict[str, Any]]:
+    """Open the datasets of the splits; return them and what the source is, as plain values.
+
+    Splits without problems are left out, unless the caller asked for this one.
+    """
+    if count is not None:
+        check_count("count", count)
+    if _is_dataset(source):
+        if seed is not None:
+            raise ValueError("seed: a built dataset has its own, expected none")
+        parts = [_stored_part(source, options, name, count) for name in splits]
+        origin = _origin_of_dataset(source)
+    else:
+        recipe = _recipe_of(source, seed)
+        shares = dict(zip(SPLITS, recipe.generator.splits, strict=True))
+        asked = [name for name in splits if shares[name] > 0 or name == split]
+        parts = [_online_part(recipe, options, name, count) for name in asked]
+        origin = {"recipe": recipe.to_dict()}
+    written = [part for part in parts if part.count > 0]
+    if not written:
+        raise ValueError(f"problems: {plain_text(options.problems)}: the source has none of them")
+    return written, origin
+
+
+def _stored_part(source: Locations, options: _Options, split: str, count: int | None) -> _Part:
+    """Return the problems of a split of a built dataset."""
+    dataset = MapDataset(source, split, **options.serving(split))
+    if count is None or len(dataset) == 0:
+        return _Part(split, dataset, len(dataset))
+    is_drawn_anew = isinstance(options.problems, Random) or dataset.serving.augment
+    if count > len(dataset) and not is_drawn_anew:
+        raise ValueError(
+            f"count: got {count}, but the split {split!r} has {len(dataset)} problems; problems="
+            '"random" draws as many as wanted'
+        )
+    return _Part(split, dataset, count)
+
+
+def _online_part(recipe: Recipe, options: _Options, split: str, count: int | None) -> _Part:
+    """Return the problems of a split of maps that are made on the fly."""
+    if count is None:
+        indices = maps_of_split(recipe.generator, recipe.seed, split, recipe.maps)
+        count = int((indices < recipe.maps).sum())
+        if count == 0:
+            raise ValueError(f"split: none of the {recipe.maps} maps of the recipe is in {split!r}")
+    dataset = OnlineMapDataset(
+        recipe.generator, recipe.seed, count, split, **options.serving(split)
+    )
+    return _Part(split, dataset, count)
+
+
+def _is_dataset(source: Locations | RecipeLike) -> bool:
+    """Return whether a source is a built dataset, and not a recipe."""
+    if isinstance(source, (MapGenerator, Recipe, Mapping)):
+        return False
+    if not isinstance(source, (str, os.PathLike)):
+        return True  # a list of folders
+    name = os.fspath(source)
+    return name not in PRESETS and ("://" in name or Path(name).is_dir())
+
+
+def _recipe_of(source: RecipeLike, seed: int | None) -> Recipe:
+    """Return the recipe that a source stands for.
+
+    Raises:
+        ValueError: it is neither a dataset nor a recipe.
+    """
+    try:
+        return as_recipe(source, seed=seed)
+    except ValueError as error:
+        raise ValueError(f"{error}; or the folder or URL of a built dataset") from None
+
+
+def _origin_of_dataset(source: Locations) -> dict[str, Any]:
+    """Return what a dataset is, as plain values."""
+    root = Root.open(source)
+    return {
+        "datasets": [
+            {
+                "content_hash": manifest.content_hash,
+                "identity": manifest.identity,
+                "recipe": None if manifest.generator is None else json.loads(manifest.recipe()),
+            }
+            for manifest in root.manifests
+        ]
+    }
+
+
+def _check_square_and_straight(format: str, dataset: ProblemDataset) -> None:  # noqa: A002
+    """Refuse what mazes as text cannot hold.
+
+    Raises:
+        ValueError: maps that are not square, or diagonal moves.
+    """
+    rows, columns = dataset.map_size
+    if rows != columns or dataset.movement.connectivity != 4:
+        raise ValueError(
+            f"{format}: got maps of {rows} x {columns} cells and {dataset.movement}, expected "
+            "square maps and 4-connected paths"
+        )
+
+
+def _writer(format: str, folder: Path, options: _Options, parts: Sequence[_Part]) -> Writer:  # noqa: A002
+    """Return what writes a format below a folder."""
+    if format == "arrays":
+        return ArrayWriter(folder, options.max_length)
+    if format == "parquet":
+        counts = {part.split: part.count for part in parts}
+        return ParquetWriter(folder, counts, parts[0].dataset.map_size)
+    if format == "maze-hard":
+        return MazeTextWriter(folder)
+    layout: Layout = LAYOUTS[format]
+    missing = [name for name in layout.splits if name not in {part.split for part in parts}]
+    if layout.archive and missing:
+        raise ValueError(f"{format}: the source has no problems in {', '.join(missing)}")
+    return LayoutWriter(folder, layout, parts[0].dataset.movement)
+
+
+def _write(parts: Sequence[_Part], writer: Writer, progress: bool) -> None:
+    """Write all problems of all splits."""
+    total = sum(part.count for part in parts)
+    try:
+        with tqdm(total=total, unit=" problems", disable=not progress, leave=False) as bar:
+            for part in parts:
+                for columns in part.batches():
+                    writer.write(part.split, columns)
+                    bar.update(len(next(iter(columns.values()))))
+    except BaseException:
+        writer.abort()
+        raise
+
+
+@contextmanager
+def _new_folder(target: Path) -> Iterator[Path]:
+    """Yield a folder to write in, which becomes ``target`` when all went well.
+
+    Raises:
+        ValueError: the target exists and is no empty folder.
+    """
+    if target.name in ("", ".."):
+        raise ValueError(f"{target}: expected the name of the folder to write")
+    is_empty = target.is_dir() and not any(target.iterdir())
+    if target.exists() and not is_empty:
+        raise ValueError(f"{target}: exists already, expected a new name or an empty folder")
+    make_folder(target.parent)
+    sweep_temporaries(target.parent)
+    with temporary_folder(target) as folder:
+        unfinished = folder / "export"
+        unfinished.mkdir()
+        yield unfinished
+        if target.is_dir():
+            target.rmdir()  # os.replace cannot replace a folder on every system
+        os.replace(unfinished, target)
+
+
+def _notes(parts: Sequence[_Part]) -> list[str]:
+    """Return what a user should know about the problems that were written."""
+    notes = [f"{part.split}: {part.count:,} problems" for part in parts]
+    for part in parts:
+        if part.count > len(part.dataset):
+            notes.append(
+                f"{part.split}: each map stands in up to {-(-part.count // len(part.dataset))} "
+                "problems"
+            )
+    return notes

@@ -1,0 +1,434 @@
+"""The export of training problems: what is written is what a dataset serves."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from mapdata import MapDataset, MapGenerator, Maze, Movement, OnlineMapDataset, Random, build
+from mapdata.arrays import Array
+from mapdata.export import LAYOUTS, PROBLEM_FORMATS, export_problems
+from mapdata.export.growing_array import GrowingArray
+from mapdata.export.parquet import ParquetWriter
+from mapdata.export.writers import ArrayWriter
+from mapdata.formats.maze_hard import is_shortest_answer
+
+MAZE = Maze((15, 15))
+SPLIT_COUNTS = {"train": 12, "val": 12, "test": 12}
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return a small dataset of mazes."""
+    folder = tmp_path_factory.mktemp("export") / "mazes"
+    build(folder, MAZE, maps=60, workers=1)
+    return str(folder)
+
+
+def about(folder: Path) -> dict[str, Any]:
+    """Return what ``export.json`` says."""
+    values: dict[str, Any] = json.loads((folder / "export.json").read_text())
+    return values
+
+
+def path_of(folder: Path, i: int) -> Array:
+    """Return path i of a folder of arrays."""
+    offsets = np.load(folder / "path_offsets.npy")
+    cells: Array = np.load(folder / "path_cells.npy", mmap_mode="r")
+    return cells[offsets[i] : offsets[i + 1]]
+
+
+def test_arrays_of_a_dataset_are_its_samples(root: str, tmp_path: Path) -> None:
+    """Every split, every problem, every field."""
+    fields = ("map", "start", "goal", "path", "cost", "optimal_moves")
+    export_problems(root, tmp_path / "out", fields=fields)
+    for split in SPLIT_COUNTS:
+        dataset = MapDataset(root, split, fields)
+        folder = tmp_path / "out" / split
+        stored = {name: np.load(folder / f"{name}.npy") for name in fields if name != "path"}
+        for i, sample in enumerate(dataset):
+            for name, rows in stored.items():
+                np.testing.assert_array_equal(rows[i], getattr(sample, name).numpy())
+            np.testing.assert_array_equal(path_of(folder, i), sample.path.numpy())
+        assert {len(rows) for rows in stored.values()} == {len(dataset)}
+        assert all(
+            rows.dtype == getattr(sample, name).numpy().dtype for name, rows in stored.items()
+        )
+
+
+def test_a_recipe_needs_no_stored_dataset(tmp_path: Path) -> None:
+    """The problems are those of `OnlineMapDataset`."""
+    export_problems(
+        MAZE, tmp_path / "out", count=12, split="val", problems=Random(distance=(5, None)), seed=3
+    )
+    dataset = OnlineMapDataset(MAZE, 3, 12, "val", problems=Random(distance=(5, None)))
+    np.testing.assert_array_equal(
+        np.load(tmp_path / "out/val/map.npy"), np.stack([sample.map for sample in dataset])
+    )
+    np.testing.assert_array_equal(path_of(tmp_path / "out/val", 7), dataset[7].path)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["export.json", "val"]
+
+
+def test_a_recipe_without_a_count_has_a_problem_on_each_of_its_maps(tmp_path: Path) -> None:
+    """The splits hold as many maps as a built dataset would."""
+    recipe = {"spec": MAZE.to_dict(), "maps": 50}
+    export_problems(recipe, tmp_path / "out", problems="random", fields=("map",))
+    counts = about(tmp_path / "out")["problems"]
+    build(tmp_path / "built", MAZE, maps=50, workers=1)
+    for split, count in counts.items():
+        assert count == len(MapDataset(tmp_path / "built", split, problems="random"))
+    assert sum(counts.values()) == 50
+
+
+def test_more_random_problems_than_maps_are_those_of_later_epochs(
+    root: str, tmp_path: Path
+) -> None:
+    """Problem ``i + epoch * len(dataset)``, as loaders draw it."""
+    dataset = MapDataset(root, "val", ("map", "start"), problems="random")
+    count = 2 * len(dataset) + 1
+    notes = export_problems(
+        root,
+        tmp_path / "out",
+        split="val",
+        count=count,
+        problems="random",
+        fields=dataset[0]._fields,
+    )
+    starts = np.load(tmp_path / "out/val/start.npy")
+    for i in range(count):
+        np.testing.assert_array_equal(starts[i], dataset.__getitems__([i])[0].start)
+    assert not np.array_equal(starts[: len(dataset)], starts[len(dataset) : 2 * len(dataset)])
+    assert "each map stands in up to 3 problems" in notes[-1]
+
+
+def test_max_length_pads_paths_and_bounds_random_ones(root: str, tmp_path: Path) -> None:
+    """Of mazes of 15 x 15 cells, most paths are longer than 20 cells."""
+    export_problems(root, tmp_path / "out", problems="random", split="train", max_length=20)
+    paths = np.load(tmp_path / "out/train/path.npy")
+    assert paths.shape[1:] == (20, 2)
+    lengths = (paths[:, :, 0] >= 0).sum(axis=1)
+    assert lengths.min() >= 1
+    with pytest.raises(ValueError, match="does not fit into 20"):
+        export_problems(root, tmp_path / "routes", split="train", max_length=20)
+    assert not (tmp_path / "routes").exists()
+
+
+def test_only_the_training_split_is_augmented(tmp_path: Path) -> None:
+    """As in `MapDataModule`."""
+    export_problems(MAZE, tmp_path / "plain", count=40, fields=("map",))
+    export_problems(MAZE, tmp_path / "augmented", count=40, fields=("map",), augment=True)
+    is_equal = {
+        split: np.array_equal(
+            np.load(tmp_path / f"plain/{split}/map.npy"),
+            np.load(tmp_path / f"augmented/{split}/map.npy"),
+        )
+        for split in SPLIT_COUNTS
+    }
+    assert is_equal == {"train": False, "val": True, "test": True}
+
+
+def test_the_folder_says_what_it_holds(root: str, tmp_path: Path) -> None:
+    """Dtype, shape and checksum of each file; recipe, options and content hash."""
+    export_problems(root, tmp_path / "out", movement=Movement(8), radius=0.0)
+    values = about(tmp_path / "out")
+    for name, entry in values["files"].items():
+        array = np.load(tmp_path / "out" / name)
+        assert [*array.shape] == entry["shape"]
+        assert array.dtype == entry["dtype"]
+        assert hashlib.sha256(array.tobytes()).hexdigest() == entry["sha256"]
+    assert values["options"]["movement"]["connectivity"] == 8
+    recipe = values["origin"]["datasets"][0]["recipe"]
+    assert MapGenerator.from_dict(recipe["spec"]) == MAZE
+    export_problems(root, tmp_path / "again", movement=Movement(8))
+    assert about(tmp_path / "again")["content_hash"] == values["content_hash"]
+    export_problems(root, tmp_path / "other", movement=Movement(8, corner_cutting=True))
+    assert about(tmp_path / "other")["content_hash"] != values["content_hash"]
+
+
+# --- layouts --------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def exports(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with one export for each layout and for maze-hard."""
+    folder = tmp_path_factory.mktemp("layouts")
+    for name in (*LAYOUTS, "maze-hard"):
+        export_problems(MAZE, folder / name, format=name, count=12)
+    return folder
+
+
+def costs_to(goal: Array, grid: Array, moves: Array) -> Array:
+    """Return the cost from every cell to ``goal`` by scipy; diagonals cost sqrt 2, corners may be
+    cut.
+    """
+    numbers = np.arange(grid.size).reshape(grid.shape)
+    edges: list[tuple[int, int, float]] = []
+    for row, column in np.argwhere(grid == 0):
+        for move in moves:
+            to = np.array([row, column]) + move
+            if (to >= 0).all() and (to < grid.shape).all() and grid[tuple(to)] == 0:
+                edges.append((numbers[row, column], numbers[tuple(to)], float(np.hypot(*move))))
+    begins, ends, lengths = zip(*edges, strict=True)
+    graph = csr_matrix((lengths, (ends, begins)), (grid.size, grid.size))
+    costs: Array = dijkstra(graph, indices=numbers[tuple(goal)]).reshape(grid.shape)
+    return costs
+
+
+EIGHT_MOVES = np.array([(-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1)])
+
+
+def test_transpath_folders_read_as_its_loader_reads_them(exports: Path) -> None:
+    """Its GridData opens maps, starts, goals and one of focal, cf and abs, entry by entry."""
+    for split in ("train", "val", "test"):
+        folder = exports / "transpath" / split
+        names = ("maps", "starts", "goals", "focal", "cf", "abs")
+        arrays = {name: np.load(folder / f"{name}.npy", mmap_mode="c") for name in names}
+        assert {array.shape for array in arrays.values()} == {(12, 1, 15, 15)}
+        # The loader compares focal values with zeros of their own type, in 32 bits.
+        assert arrays["focal"].dtype == np.float32
+        for k in range(3):
+            goal = np.argwhere(arrays["goals"][k, 0])[0]
+            truth = costs_to(goal, arrays["maps"][k, 0], EIGHT_MOVES)
+            truth[np.isinf(truth)] = -1
+            np.testing.assert_allclose(arrays["abs"][k, 0], truth, rtol=1e-6)
+            start = np.argwhere(arrays["starts"][k, 0])[0]
+            assert arrays["focal"][k, 0, start[0], start[1]] == pytest.approx(1)
+
+
+def test_gppn_archives_read_as_its_loader_reads_them(exports: Path) -> None:
+    """Its MazeDataset takes arr_0, arr_3 and arr_6, and the two arrays behind each."""
+    moves = np.array([(-1, 0), (0, 1), (0, -1), (1, 0)])  # N, E, W, S
+    with np.load(exports / "gppn/gppn.npz") as archive:
+        assert archive.files == [f"arr_{k}" for k in range(9)]
+        for first in (0, 3, 6):
+            mazes, goals, policies = (archive[f"arr_{first + k}"] for k in range(3))
+            assert (mazes.shape, goals.shape) == ((12, 15, 15), (12, 1, 15, 15))
+            assert policies.shape == (12, 4, 1, 15, 15)
+            goal = np.argwhere(goals[0, 0])[0]
+            costs = costs_to(goal, 1 - mazes[0], moves)
+            for row, column in np.argwhere(np.isfinite(costs) & (costs > 0)):
+                for action, move in enumerate(moves):
+                    to = costs[tuple(np.array([row, column]) + move)]
+                    is_optimal = to == costs[row, column] - 1
+                    assert policies[0, action, 0, row, column] == is_optimal
+
+
+def test_gppn_has_eight_actions_for_eight_moves(tmp_path: Path) -> None:
+    """The mechanism "moore" orders them N, E, W, S, NE, NW, SE, SW."""
+    movement = Movement(8, corner_cutting=True, diagonal_cost=1)
+    export_problems(MAZE, tmp_path / "out", format="gppn", count=4, movement=movement)
+    with np.load(tmp_path / "out/gppn.npz") as archive:
+        policies, goals = archive["arr_2"], archive["arr_1"]
+    assert policies.shape == (4, 8, 1, 15, 15)
+    row, column = np.argwhere(goals[0, 0])[0]
+    moves = [(-1, 0), (0, 1), (0, -1), (1, 0), (-1, 1), (-1, -1), (1, 1), (1, -1)]
+    mazes = np.load(tmp_path / "out/gppn.npz")["arr_0"]
+    for action, (rows, columns) in enumerate(moves):
+        neighbour = (row - rows, column - columns)
+        if all(0 <= k < 15 for k in neighbour) and mazes[(0, *neighbour)]:
+            assert policies[(0, action, 0, *neighbour)] == 1, "the goal is one move away"
+
+
+def test_vin_archives_read_as_its_loader_reads_them(exports: Path) -> None:
+    """Its GridworldData takes four arrays for training and four for the test, a row a move."""
+    moves = [(-1, 0), (1, 0), (0, 1), (0, -1), (-1, 1), (-1, -1), (1, 1), (1, -1)]
+    with np.load(exports / "vin/vin.npz") as archive:
+        assert archive.files == [f"arr_{k}" for k in range(8)]
+        for first in (0, 4):
+            images, rows, columns, labels = (archive[f"arr_{first + k}"] for k in range(4))
+            assert images.shape[1:] == (2, 15, 15)
+            assert len(images) == len(rows) == len(columns) == len(labels)
+            assert [int(rows[0]), int(columns[0]), int(labels[0])]  # the loader calls int()
+            ends_of_paths = 0
+            for k in range(len(images)):
+                goal = np.argwhere(images[k, 1] == 10)[0]
+                to = np.array([rows[k], columns[k]]) + moves[labels[k]]
+                assert images[(k, 0, *to)] == 0
+                if np.array_equal(to, goal):
+                    ends_of_paths += 1
+                else:
+                    assert [rows[k + 1], columns[k + 1]] == [*to], "the next row goes on from there"
+            assert ends_of_paths == 12
+
+
+def test_hrm_folders_read_as_its_loader_reads_them(exports: Path) -> None:
+    """Its PuzzleDataset wants dataset.json and five arrays a split; labels are right answers."""
+    characters = np.frombuffer(b"\0# SGo", np.uint8)
+    for split in ("train", "test"):
+        folder = exports / "hrm" / split
+        metadata = json.loads((folder / "dataset.json").read_text())
+        assert (metadata["seq_len"], metadata["vocab_size"]) == (225, 6)
+        assert metadata["total_groups"] == metadata["total_puzzles"] == 12
+        inputs, labels = (np.load(folder / f"all__{name}.npy") for name in ("inputs", "labels"))
+        assert inputs.shape == labels.shape == (12, 225)
+        for question, answer in zip(characters[inputs], characters[labels], strict=True):
+            texts = (row.tobytes().decode() for row in (question, answer))
+            assert is_shortest_answer(*texts)
+        for name in ("puzzle_indices", "group_indices"):
+            np.testing.assert_array_equal(np.load(folder / f"all__{name}.npy"), np.arange(13))
+        assert not np.load(folder / "all__puzzle_identifiers.npy").any()
+
+
+def test_mazes_as_text_are_those_of_hrm(exports: Path) -> None:
+    """A line for each problem, with the same mazes and answers."""
+    characters = np.frombuffer(b"\0# SGo", np.uint8)
+    header, *lines = (exports / "maze-hard/train.csv").read_text().splitlines()
+    assert header == "source,question,answer,rating"
+    inputs = np.load(exports / "hrm/train/all__inputs.npy")
+    for k, line in enumerate(lines):
+        source, question, answer, rating = line.split(",")
+        assert source == f"problem{k}"
+        assert question == characters[inputs[k]].tobytes().decode()
+        assert is_shortest_answer(question, answer)
+        assert int(rating) == answer.count("o") + 1
+    assert len(lines) == 12
+
+
+def test_a_band_of_lengths_makes_hard_mazes(tmp_path: Path) -> None:
+    """One problem a maze, each with at least 30 moves."""
+    export_problems(
+        MAZE,
+        tmp_path / "out",
+        format="maze-hard",
+        problems=Random(length=(31, None)),
+        count=20,
+        split="train",
+    )
+    lines = (tmp_path / "out/train.csv").read_text().splitlines()[1:]
+    assert min(int(line.rpartition(",")[2]) for line in lines) >= 30
+    assert len({line.split(",")[1].replace("S", " ").replace("G", " ") for line in lines}) == 20
+
+
+# --- Parquet --------------------------------------------------------------------------------------
+
+
+def test_parquet_rows_are_problems(root: str, tmp_path: Path) -> None:
+    """As Hugging Face ``datasets`` opens them, with the Hub's names of the splits."""
+    datasets = pytest.importorskip("datasets")
+    fields = ("map", "start", "goal", "path", "cost", "optimal_moves")
+    export_problems(root, tmp_path / "out", format="parquet", fields=fields, licence="cc-by-4.0")
+    loaded = datasets.load_dataset(str(tmp_path / "out"), cache_dir=str(tmp_path / "cache"))
+    assert set(loaded) == {"train", "validation", "test"}
+    assert loaded["train"].features["map"] == datasets.Array2D((15, 15), "uint8")
+    dataset = MapDataset(root, "validation"[:3], fields)
+    rows = loaded["validation"].with_format("numpy")
+    assert len(rows) == len(dataset)
+    for row, sample in zip(rows, dataset, strict=True):
+        np.testing.assert_array_equal(row["map"], sample.map[0])
+        np.testing.assert_array_equal(row["optimal_moves"], sample.optimal_moves[0])
+        np.testing.assert_array_equal(row["path"], sample.path)
+        np.testing.assert_array_equal(row["start"], sample.start)
+        assert row["cost"] == sample.cost.item()
+    card = (tmp_path / "out/README.md").read_text()
+    assert card.startswith('---\nlicense: "cc-by-4.0"\n')
+
+
+def test_large_sets_are_several_files(
+    root: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Named and numbered as the Hub expects."""
+    monkeypatch.setattr("mapdata.export.parquet._MAX_FILE_CELLS", 15 * 15 * 10)
+    parquet = pytest.importorskip("pyarrow.parquet")
+    export_problems(MAZE, tmp_path / "out", format="parquet", split="train", count=25)
+    names = sorted(path.name for path in (tmp_path / "out/data").iterdir())
+    assert names == [f"train-0000{k}-of-00003.parquet" for k in range(3)]
+    rows = [parquet.read_table(tmp_path / "out/data" / name).num_rows for name in names]
+    assert rows == [10, 10, 5]
+
+
+# --- failures -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("format_name", PROBLEM_FORMATS)
+def test_an_interrupted_export_leaves_nothing(
+    format_name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither the target nor a temporary folder."""
+
+    def interrupted(self: Any) -> Iterator[Any]:
+        yield from first_batch(self)
+        raise KeyboardInterrupt
+
+    from mapdata.export.problems import _Part
+
+    batches = _Part.batches
+
+    def first_batch(part: Any) -> Iterator[Any]:
+        return iter([next(batches(part))])
+
+    monkeypatch.setattr(_Part, "batches", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        export_problems(MAZE, tmp_path / "out", format=format_name, count=12)
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"format": "parket"}, "format: got 'parket'.*did you mean parquet"),
+        ({"format": "gppn", "fields": ("map",)}, "gppn has its own fields"),
+        ({"fields": ("mapp",)}, "fields: got 'mapp'"),
+        ({"fields": (len,)}, "expected names of fields"),
+        ({"format": "parquet", "max_length": 9}, "only arrays have rows to pad"),
+        ({"licence": "mit"}, "arrays has no card"),
+        ({"format": "vin", "split": "val"}, "vin has no place for 'val'"),
+        ({"format": "gppn", "split": "val"}, "one file of all splits"),
+        ({"split": "dev"}, "split: got 'dev'"),
+        ({"count": 0}, "count: got 0"),
+        ({"count": 10**6}, "count: got 1000000, but the split 'train' has"),
+        ({"seed": 1}, "seed: a built dataset has its own"),
+        ({"format": "hrm", "movement": Movement(8)}, "expected square maps and 4-connected"),
+    ],
+)
+def test_what_would_do_nothing_is_refused(
+    root: str, tmp_path: Path, arguments: dict[str, Any], message: str
+) -> None:
+    """By name, before anything is written."""
+    with pytest.raises(ValueError, match=message):
+        export_problems(root, tmp_path / "out", **arguments)
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_folder_that_holds_something_is_refused(root: str, tmp_path: Path) -> None:
+    """An export never adds to what is there."""
+    (tmp_path / "mine").write_text("kept")
+    with pytest.raises(ValueError, match="exists already"):
+        export_problems(root, tmp_path)
+    assert (tmp_path / "mine").read_text() == "kept"
+
+
+def test_a_growing_array_is_an_ordinary_npy_file(tmp_path: Path) -> None:
+    """Whatever the number of blocks; memory maps work."""
+    rng = np.random.default_rng(0)
+    rows = rng.integers(0, 255, (1000, 3, 2), np.uint8)
+    array = GrowingArray(tmp_path / "rows.npy", rows.dtype, (3, 2))
+    for k in range(0, 1000, 7):
+        array.append(rows[k : k + 7])
+    array.close()
+    np.testing.assert_array_equal(np.load(tmp_path / "rows.npy", mmap_mode="r"), rows)
+    array = GrowingArray(tmp_path / "empty.npy", rows.dtype, (3, 2))
+    with pytest.raises(ValueError, match="expected \\(3, 2\\)"):
+        array.append(rows[:, :2])
+    array.close()
+    assert np.load(tmp_path / "empty.npy").shape == (0, 3, 2)
+
+
+def test_writers_close_their_files(tmp_path: Path) -> None:
+    """So that a failed export leaves no handle open."""
+    writer = ArrayWriter(tmp_path, None)
+    writer.write("train", {"map": np.zeros((2, 1, 4, 4), np.uint8)})
+    writer.abort()
+    assert np.load(tmp_path / "train/map.npy").shape == (0, 1, 4, 4)
+    pytest.importorskip("pyarrow")
+    parquet = ParquetWriter(tmp_path, {"train": 2}, (4, 4))
+    parquet.write("train", {"map": np.zeros((2, 1, 4, 4), np.uint8)})
+    parquet.abort()
