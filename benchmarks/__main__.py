@@ -1,5 +1,5 @@
-"""The one door to all benchmarks: python -m benchmarks [labels|paths|making|build|loading|planners]
-[--quick].
+"""The one door to all benchmarks: python -m benchmarks
+[labels|paths|terrain|making|build|loading|planners] [--quick].
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from pathlib import Path
 TABLES = {
     "labels": "all labels of a map beside naive Python, and how they grow",
     "paths": "A* a path beside pyastar2d, python-tcod, scipy, scikit-image, networkx, pathfinding",
+    "terrain": "goal fields and A* on terrain beside scikit-image and pyastar2d",
     "making": "making maps beside maze-dataset",
     "build": "a dataset on disk beside the kernels alone; the first build ever; imports",
     "loading": "batches beside tensors in RAM, TensorDataset, naive h5py, npz, PNG + CSV, "
@@ -25,8 +26,8 @@ contestants taking turns on one machine: trust the ratios more than the times. A
 other results than ours stops the run. A target is a least ratio or rate, or a limit of time, size
 or growth; those that are missed say so. Install the peers with `pip install -e ".[bench]"` (and
 `maze-dataset "muutils<0.9"` by hand); a missing one is skipped by name. Single tables go by their
-names: labels, paths, making, build, loading, planners. `--quick` takes a minute or two; without it
-there are more repeats, and the figures are steadier.
+names: labels, paths, terrain, making, build, loading, planners. `--quick` takes a minute or two;
+without it there are more repeats, and the figures are steadier.
 
 ![Time of a path by A* and of a sample beside other packages, in multiples](images/speed.png)
 """

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from mapdata.search import clearance as clearance
     from mapdata.search import distance_field as distance_field
     from mapdata.search import inflate as inflate
+    from mapdata.search import inflate_terrain as inflate_terrain
     from mapdata.search import label as label
     from mapdata.search import lines_are_free as lines_are_free
     from mapdata.search import pull_taut as pull_taut
@@ -79,6 +80,7 @@ _FACES = {
         "clearance",
         "distance_field",
         "inflate",
+        "inflate_terrain",
         "label",
         "lines_are_free",
         "pull_taut",

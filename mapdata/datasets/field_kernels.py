@@ -30,7 +30,7 @@ PADDING = -1
 PROBABLE = 0.95
 """TransPath's threshold of the path probability."""
 
-_NO_ROOM = -2
+NO_ROOM = -2
 
 
 class GoalFields(NamedTuple):
@@ -136,17 +136,17 @@ def fill_goal_fields(
                         lower_bound = in_cells(
                             heuristic(row - goal_row, column - goal_column, lattice)
                         )
-                        heuristic_ratio[b, 0, row, column] = _ratio(lower_bound, cost)
+                        heuristic_ratio[b, 0, row, column] = ratio_of(lower_bound, cost)
         if len(optimal_mask):
             optimal_mask[b] = 0
             start = cell_at(starts[b, 0], starts[b, 1], lattice)
             goal = cell_at(goal_row, goal_column, lattice)
             if moves[start] or start == goal:
-                _mark_optimal_cells(start, moves, lattice, scratch.pushed, optimal_mask[b, 0])
+                mark_optimal_cells(start, moves, lattice, scratch.pushed, optimal_mask[b, 0])
 
 
 @inlined
-def _ratio(lower_bound: float, cost: float) -> float:
+def ratio_of(lower_bound: float, cost: float) -> float:
     """Return the heuristic divided by the cost: 1 at the goal, 0 where there is no path."""
     if cost > 0:
         return lower_bound / cost
@@ -154,7 +154,7 @@ def _ratio(lower_bound: float, cost: float) -> float:
 
 
 @kernel
-def _mark_optimal_cells(
+def mark_optimal_cells(
     start: Int, moves: Bytes, lattice: Lattice, stack: UInt32s, mask: Bytes
 ) -> None:
     """Mark all cells of all shortest paths from ``start`` to a goal.
@@ -258,7 +258,7 @@ def fill_room_matrices(grids: Bytes, seed_points: Ints, rule: MoveRule) -> Float
     lattice = lattice_of(grids.shape[1:], rule)
     scratch = new_scratch(ASTAR, lattice)
     max_rooms = seed_points.shape[1]
-    matrices = np.full((len(grids), max_rooms, max_rooms), _NO_ROOM, np.float32)
+    matrices = np.full((len(grids), max_rooms, max_rooms), NO_ROOM, np.float32)
     for b in range(len(grids)):
         rooms = 0
         while rooms < max_rooms and seed_points[b, rooms, 0] >= 0:

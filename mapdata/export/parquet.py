@@ -45,9 +45,7 @@ class ParquetWriter:
         try:
             import pyarrow.parquet  # noqa: F401
         except ImportError:
-            raise ValueError(
-                'format parquet needs pyarrow: pip install "mapdata-torch[hub]"'
-            ) from None
+            raise ValueError("format parquet needs pyarrow: pip install pyarrow") from None
         self._folder = folder / "data"
         self._folder.mkdir()
         self._counts = counts

@@ -295,7 +295,7 @@ def solve_pairs(
         random, _, _, _ = block(seed, np.uint64(indices[b]), epoch, PROBLEM, 0)
         first_pair = bounded(random, 0, pairs - 1)
         for attempt in range(pairs):
-            i, j = _pair((first_pair + attempt) % pairs, n, only_route)
+            i, j = pair_of_number((first_pair + attempt) % pairs, n, only_route)
             start = cell_at(seed_points[b, i, 0], seed_points[b, i, 1], lattice)
             goal = cell_at(seed_points[b, j, 0], seed_points[b, j, 1], lattice)
             if start == goal:
@@ -316,7 +316,7 @@ def solve_pairs(
 
 
 @kernel
-def _pair(number: Int, points: Int, only_route: Int) -> tuple[Int, Int]:
+def pair_of_number(number: Int, points: Int, only_route: Int) -> tuple[Int, Int]:
     """Return the seed points (i, j) of pair ``number`` of a map with so many points.
 
     The pairs are those of the route, or all i < j in row-major order.

@@ -10,7 +10,7 @@ from mapdata.search.api import (
     distance_field,
     search_batch,
 )
-from mapdata.search.footprint import clearance, inflate
+from mapdata.search.footprint import clearance, inflate, inflate_terrain
 from mapdata.search.labels import Labels, RouteLabels, label
 from mapdata.search.lattice import hardness
 from mapdata.search.taut import lines_are_free, pull_taut, to_metres
@@ -28,6 +28,7 @@ __all__ = [
     "distance_field",
     "hardness",
     "inflate",
+    "inflate_terrain",
     "label",
     "lines_are_free",
     "pull_taut",

@@ -28,9 +28,17 @@ from mapdata.search.lattice import (
     ASTAR,
     BFS,
     MAX_CELLS,
+    MAX_PATH_COST,
+    UNIT,
     CostWeights,
     MoveRule,
     move_rule,
+)
+from mapdata.search.terrain import (
+    costs_from_sums,
+    solve_on_terrain,
+    terrain_path_cost,
+    write_terrain_field,
 )
 
 SEARCHES = {"bfs": BFS, "astar": ASTAR}
@@ -69,7 +77,12 @@ class SearchResult(NamedTuple):
 
 
 def bfs(
-    grid: ArrayLike, start: object, goal: object, movement: Movement = Movement()
+    grid: ArrayLike,
+    start: object,
+    goal: object,
+    movement: Movement = Movement(),
+    *,
+    terrain: ArrayLike | None = None,
 ) -> SearchResult:
     """Return the path with the fewest moves that breadth-first search finds.
 
@@ -81,25 +94,37 @@ def bfs(
         goal: (row, col), a free cell.
         movement: which moves are legal. BFS counts moves, so under 8-connectivity a diagonal move
             costs 1, too.
+        terrain: (H, W) of integers, 0 on the occupied cells of ``grid`` and 1 to 255, the cost of a
+            cell, on the others. It does not change what BFS finds, since BFS counts moves.
 
     Raises:
         ValueError: a grid that is not 2-D or holds other numbers, a start or goal outside it or on
-            an occupied cell.
+            an occupied cell; terrain that does not fit the grid.
 
     Source: arXiv 2110.13242, section 4.
     """
-    return _search(BFS, grid, start, goal, movement)
+    return _search(BFS, grid, start, goal, movement, terrain)
 
 
 def astar(
-    grid: ArrayLike, start: object, goal: object, movement: Movement = Movement()
+    grid: ArrayLike,
+    start: object,
+    goal: object,
+    movement: Movement = Movement(),
+    *,
+    terrain: ArrayLike | None = None,
 ) -> SearchResult:
-    """Return a shortest path by A*.
+    """Return a shortest path by A*, or with ``terrain`` a path of the least cost.
 
     It expands the cell of the smallest f, among equal f the most recently pushed one. A cell's
     parent changes only for a smaller g. The heuristic is the Manhattan distance under
     4-connectivity, the octile distance under 8-connectivity, and the Chebyshev distance under
     8-connectivity with a diagonal cost of 1. Arguments and errors are those of `bfs`.
+
+    With ``terrain``, a move costs the mean of its two cells times its length, as in scikit-image's
+    MCP_Geometric, and the heuristic is multiplied by the smallest cost of a free cell. Costs are
+    exact. Where diagonals cost sqrt(2), a map is refused if its search meets a cost of 1,048,576
+    or more. For a robot with a radius, pass the map that `inflate_terrain` returns.
 
     Source: Hart, Nilsson, Raphael 1968, https://doi.org/10.1109/TSSC.1968.300136; arXiv 2110.13242,
     section 4.
@@ -109,8 +134,11 @@ def astar(
     SearchResult(path=int64 (5, 2), cost=4.0, iterations=5)
     >>> solution.path.tolist()
     [[0, 0], [1, 0], [1, 1], [1, 2], [0, 2]]
+
+    >>> astar([[0, 0, 0], [0, 0, 0]], (0, 0), (0, 2), terrain=[[1, 9, 1], [1, 1, 1]]).path.tolist()
+    [[0, 0], [1, 0], [1, 1], [1, 2], [0, 2]]
     """
-    return _search(ASTAR, grid, start, goal, movement)
+    return _search(ASTAR, grid, start, goal, movement, terrain)
 
 
 class BatchResult(NamedTuple):
@@ -139,6 +167,8 @@ def search_batch(
     starts: ArrayLike,
     goals: ArrayLike,
     movement: Movement = Movement(),
+    *,
+    terrain: ArrayLike | None = None,
 ) -> BatchResult:
     """Solve B problems as `bfs` or `astar` would, without the cost of a Python call for each.
 
@@ -148,13 +178,14 @@ def search_batch(
         starts: (B, 2) cells.
         goals: (B, 2) cells.
         movement: which moves are legal.
+        terrain: costs of the cells, of the shape of ``grids``.
 
     Raises:
         ValueError: a problem that `bfs` refuses, with the number of the first such problem; arrays
             that do not fit together.
     """
     check_choice("search", search, SEARCHES)
-    return solve_batch(SEARCHES[search], grids, starts, goals, movement)
+    return solve_batch(SEARCHES[search], grids, starts, goals, movement, terrain=terrain)
 
 
 def solve_batch(
@@ -164,11 +195,12 @@ def solve_batch(
     goals: ArrayLike,
     movement: Movement,
     allow_occupied_ends: bool = False,
+    terrain: ArrayLike | None = None,
 ) -> BatchResult:
     """Solve B problems by the search with these weights; otherwise as `search_batch`.
 
     With ``allow_occupied_ends``, a start or goal may be occupied: such a problem has no path, and
-    no cell is expanded.
+    no cell is expanded. On terrain, ``weights`` have to be those of BFS or A*.
     """
     array = np.asarray(grids)
     grid_stack = as_grid(array if array.ndim == 3 else array[None], 3)
@@ -181,6 +213,17 @@ def solve_batch(
             "equal numbers"
         )
     rule = move_rule(movement)
+    if terrain is not None:
+        if weights not in (BFS, ASTAR):
+            raise ValueError(f"weights: got {weights} with terrain, expected BFS or A*")
+        terrain_array = np.asarray(terrain)
+        terrain_stack = as_terrain(
+            terrain_array if terrain_array.ndim == 3 else terrain_array[None], grid_stack
+        )
+        if weights == ASTAR:
+            return _solve_on_terrain(
+                terrain_stack, start_cells, goal_cells, movement, allow_occupied_ends
+            )
     cells, moves, expansions, offsets, solved = solve_problems(
         grid_stack,
         start_cells,
@@ -199,14 +242,44 @@ def solve_batch(
     return BatchResult(cells, offsets, costs, expansions)
 
 
-def distance_field(grid: ArrayLike, goal: object, movement: Movement = Movement()) -> Float32s:
+def _solve_on_terrain(
+    terrains: Bytes, starts: Ints, goals: Ints, movement: Movement, allow_occupied_ends: bool
+) -> BatchResult:
+    """Solve checked problems by A* on ``terrains``, (B, H, W) or (1, H, W)."""
+    rule = move_rule(movement)
+    cells, sums, expansions, offsets, solved, high_cost = solve_on_terrain(
+        terrains, starts, goals, int(allow_occupied_ends), rule, _scratch_memory(terrains, rule)
+    )
+    if solved < len(starts):
+        if high_cost:
+            raise ValueError(f"problem {solved}: {high_cost_complaint(high_cost)}")
+        grid = (terrains[min(solved, len(terrains) - 1)] == 0).astype(np.uint8)
+        complaint = _problem_complaint(grid, starts[solved], goals[solved])
+        raise ValueError(f"problem {solved}: {complaint}")
+    return BatchResult(cells, offsets, costs_from_sums(sums, movement), expansions)
+
+
+def distance_field(
+    grid: ArrayLike,
+    goal: object,
+    movement: Movement = Movement(),
+    *,
+    terrain: ArrayLike | None = None,
+) -> Float32s:
     """Return the cost of the shortest path from every cell to ``goal``.
+
+    Args:
+        grid: (H, W) of 0 free and 1 occupied, or bool.
+        goal: (row, col), a free cell.
+        movement: which moves are legal.
+        terrain: (H, W) costs of the cells, as `astar` takes them.
 
     Returns:
         (H, W) float32, in cells; -1 where there is no path.
 
     Raises:
-        ValueError: a grid or goal that `bfs` refuses, or a path of 2,097,152 cells or more.
+        ValueError: a grid, goal or terrain that `astar` refuses, or a path of 2,097,152 cells or
+            more.
 
     >>> distance_field([[0, 1, 0], [0, 0, 0]], (0, 0))
     array([[ 0., -1.,  4.],
@@ -216,6 +289,14 @@ def distance_field(grid: ArrayLike, goal: object, movement: Movement = Movement(
     row, column = _as_cell("goal", goal, array)
     field = np.empty(array.shape, np.float32)
     rule = move_rule(movement)
+    if terrain is not None:
+        costs = as_terrain(terrain, array)
+        if array[row, column]:
+            raise ValueError(f"goal: {row, column} is on an occupied cell")
+        memory = _scratch_memory(array, rule)
+        if high_cost := write_terrain_field(costs, row, column, rule, memory, field):
+            raise ValueError(high_cost_complaint(high_cost))
+        return field
     if not write_field(array, row, column, rule, _scratch_memory(array, rule), field):
         raise ValueError(values_complaint(array))
     if array[row, column]:
@@ -223,27 +304,40 @@ def distance_field(grid: ArrayLike, goal: object, movement: Movement = Movement(
     return field
 
 
-def check_path(grid: ArrayLike, path: ArrayLike, movement: Movement = Movement()) -> float:
+def check_path(
+    grid: ArrayLike,
+    path: ArrayLike,
+    movement: Movement = Movement(),
+    *,
+    terrain: ArrayLike | None = None,
+) -> float:
     """Return the cost of ``path`` on ``grid``, in cells.
 
     Args:
         grid: (H, W) of 0 free and 1 occupied, or bool.
         path: (k, 2) cells, k at least 1.
         movement: which moves are legal.
+        terrain: (H, W) costs of the cells, as `astar` takes them.
 
     Raises:
         ValueError: the path is empty or not (k, 2); a cell is outside or occupied; a step is not
-            legal. The message names the first such cell or step.
+            legal. The message names the first such cell or step. Also terrain that does not fit
+            the grid.
 
     >>> check_path([[0, 0], [1, 0]], [(0, 0), (0, 1), (1, 1)])
     2.0
+    >>> check_path([[0, 0], [1, 0]], [(0, 0), (0, 1), (1, 1)], terrain=[[1, 3], [0, 4]])
+    5.5
     """
     array = as_grid(grid, 2)
     cells = _as_cells("path", path)
     if len(cells) == 0:
         raise ValueError("path: got no cell, expected at least one")
     diagonals, _ = move_rule(movement)
+    costs = None if terrain is None else as_terrain(terrain, array)
     bad_cell, diagonal = first_bad_cell(array, cells, diagonals)
+    if bad_cell == -1 and costs is not None:
+        return terrain_path_cost(costs, cells, movement)
     if bad_cell == -1:
         straight = len(cells) - 1 - diagonal
         return float(straight + diagonal * movement.diagonal_cost)
@@ -257,13 +351,22 @@ def check_path(grid: ArrayLike, path: ArrayLike, movement: Movement = Movement()
 
 
 def _search(
-    weights: CostWeights, grid: ArrayLike, start: object, goal: object, movement: Movement
+    weights: CostWeights,
+    grid: ArrayLike,
+    start: object,
+    goal: object,
+    movement: Movement,
+    terrain: ArrayLike | None,
 ) -> SearchResult:
     """Check the arguments of `bfs` and `astar`, and search by these weights."""
     array = as_grid(grid, 2)
     start_cell = _as_cell("start", start, array)
     goal_cell = _as_cell("goal", goal, array)
     rule = move_rule(movement)
+    if terrain is not None:
+        costs = as_terrain(terrain, array)
+        if weights == ASTAR:
+            return _search_on_terrain(costs, array, start_cell, goal_cell, movement)
     path, straight, diagonal, expansions = solve_problem(
         array, *start_cell, *goal_cell, weights, rule, _scratch_memory(array, rule)
     )
@@ -272,6 +375,27 @@ def _search(
         raise ValueError(_problem_complaint(array, start_cell, goal_cell))
     cost = straight + diagonal * movement.diagonal_cost if len(path) else -1.0
     return SearchResult(path, cost, expansions)
+
+
+def _search_on_terrain(
+    terrain: Bytes,
+    grid: Bytes,
+    start: tuple[int, int],
+    goal: tuple[int, int],
+    movement: Movement,
+) -> SearchResult:
+    """Solve one problem, whose ends are inside the map, by A* on ``terrain`` (H, W)."""
+    rule = move_rule(movement)
+    path, sums, expansions, _, solved, high_cost = solve_on_terrain(
+        terrain[None], np.array([start]), np.array([goal]), 0, rule, _scratch_memory(grid, rule)
+    )
+    if high_cost:
+        raise ValueError(high_cost_complaint(high_cost))
+    if solved == 0:
+        raise ValueError(_problem_complaint(grid, start, goal))
+    straight_sum, diagonal_sum = sums[0].tolist()
+    cost = (straight_sum + diagonal_sum * movement.diagonal_cost) / 2 if len(path) else -1.0
+    return SearchResult(path, cost, int(expansions[0]))
 
 
 class _ThreadScratch(threading.local):
@@ -321,6 +445,44 @@ def as_grid(grid: ArrayLike, rank: int) -> Bytes:
     if not array.flags.carray:
         array = np.array(array, order="C")
     return array
+
+
+def as_terrain(terrain: ArrayLike, grid: Bytes) -> Bytes:
+    """Return ``terrain`` as the kernels expect it: writable, contiguous uint8.
+
+    Args:
+        terrain: integers from 0 to 255, of the shape of ``grid``.
+        grid: of 0 and 1, which must be 1 exactly where ``terrain`` is 0.
+
+    Raises:
+        ValueError: another shape, dtype or number; terrain and grid disagree on a cell.
+    """
+    try:
+        array = np.asarray(terrain)
+    except ValueError as error:
+        raise ValueError(f"terrain: {error}") from None
+    if array.shape != grid.shape:
+        raise ValueError(
+            f"terrain: got shape {array.shape}, expected {grid.shape}, that of the grid"
+        )
+    if array.dtype != _UINT8:
+        if array.dtype.kind not in "iu":
+            raise ValueError(f"terrain: got dtype {array.dtype}, expected integers from 0 to 255")
+        if array.min() < 0 or array.max() > 255:
+            number = array[(array < 0) | (array > 255)][0]
+            raise ValueError(f"terrain: got the value {number}, expected integers from 0 to 255")
+        array = array.astype(np.uint8)
+    disagreements = (array == 0) != grid
+    if disagreements.any():
+        if grid.max() > 1:
+            raise ValueError(values_complaint(grid))
+        cell = tuple(np.argwhere(disagreements)[0].tolist())
+        state = "occupied" if grid[cell] else "free"
+        raise ValueError(
+            f"terrain: got {array[cell]} at {cell}, which is {state} in the grid; expected 0 on "
+            "occupied cells and 1 to 255 on free ones"
+        )
+    return array if array.flags.carray else np.array(array, order="C")
 
 
 def _as_bytes(array: Array) -> Bytes:
@@ -393,6 +555,17 @@ def values_complaint(grid: Array) -> str:
     """Return the error message for a grid that holds other numbers than 0 and 1."""
     first_bad_number = grid[(grid != 0) & (grid != 1)][0]
     return f"grid: got the value {first_bad_number}, expected 0 free and 1 occupied only"
+
+
+def high_cost_complaint(doubled_cost: int) -> str:
+    """Return the error message for a cost on terrain, doubled and in 1 / UNIT, that is not exact.
+
+    Callers that know the number of the map put it before this message.
+    """
+    return (
+        f"terrain: a path costs {doubled_cost / (2 * UNIT):,.0f}, and costs are exact only below "
+        f"{MAX_PATH_COST / 2:,.0f}: divide the terrain by a number, or let diagonal moves cost 1"
+    )
 
 
 def _size(grid: Array) -> str:

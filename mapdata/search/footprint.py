@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from mapdata.arrays import Bytes, Float32s, Int32s
 from mapdata.checks import check_number
 from mapdata.jit import Int, inlined, kernel
-from mapdata.search.api import as_grid, values_complaint
+from mapdata.search.api import as_grid, as_terrain, values_complaint
 
 
 def clearance(grid: ArrayLike) -> Float32s:
@@ -65,6 +65,33 @@ def inflate(grid: ArrayLike, radius: float) -> Bytes:
     inflated = _binary_grid(grid).copy()
     inflate_all(inflated[None], min_squared_clearance(radius))
     return inflated
+
+
+def inflate_terrain(terrain: ArrayLike, radius: float) -> Bytes:
+    """Return the terrain on which the middle of a disc-shaped robot moves.
+
+    Cells that `inflate` occupies become 0; the others keep their costs. A search takes the smallest
+    cost for its heuristic from this map.
+
+    Args:
+        terrain: (H, W) of integers, 0 on occupied cells and 1 to 255, the cost of a cell, on free
+            ones.
+        radius: of the robot, in cells.
+
+    Returns:
+        (H, W) uint8.
+
+    Raises:
+        ValueError: terrain of another dtype or with other numbers, or a radius that `inflate`
+            refuses.
+
+    >>> inflate_terrain([[5, 5, 5, 5], [5, 1, 2, 5], [5, 5, 5, 5]], 1.5)
+    array([[0, 0, 0, 0],
+           [0, 1, 2, 0],
+           [0, 0, 0, 0]], dtype=uint8)
+    """
+    grid = inflate(np.asarray(terrain) == 0, radius)
+    return as_terrain(np.where(grid, 0, terrain), grid)
 
 
 def _binary_grid(grid: ArrayLike) -> Bytes:

@@ -439,7 +439,7 @@ def best_first_heap(
     while heap_size:
         cell = pushed[np.uint64(heap[0])]
         heap_size -= 1
-        _remove_top(heap, f, heap_size)
+        remove_heap_top(heap, f, heap_size)
         # A closed cell was pushed again with a smaller f and expanded then.
         if came_from[cell] & CLOSED:
             continue
@@ -475,7 +475,7 @@ def best_first_heap(
             came_from[neighbour] = move
             g[neighbour] = tentative_g
             pushed[pushes] = neighbour
-            _insert(heap, f, heap_size, pushes, g_weight * tentative_g + h)
+            insert_in_heap(heap, f, heap_size, pushes, g_weight * tentative_g + h)
             heap_size += 1
             pushes += np.uint32(1)
     return expansions, np.int64(pushes)
@@ -512,7 +512,7 @@ def _split_bucket(top: Int, links: UInt32s, f: Ints) -> tuple[Int, Int, Int]:
 
 
 @inlined
-def _remove_top(heap: UInt32s, f: Ints, size: Int) -> None:
+def remove_heap_top(heap: UInt32s, f: Ints, size: Int) -> None:
     """Remove the top of a heap, in which ``size`` entries are left.
 
     The last entry moves to the top and sinks to its position. An entry belongs above another one if
@@ -539,15 +539,12 @@ def _remove_top(heap: UInt32s, f: Ints, size: Int) -> None:
 
 
 @inlined
-def _insert(heap: UInt32s, f: Ints, size: Int, push: Int, push_f: Int) -> None:
-    """Insert ``push``, the latest of all, into a heap of ``size`` entries.
-
-    It also rises past entries of equal f, since it is later than they are.
-    """
+def insert_in_heap(heap: UInt32s, f: Ints, size: Int, push: Int, push_f: Int) -> None:
+    """Insert ``push`` into a heap of ``size`` entries, in the order of `remove_heap_top`."""
     hole = size
     while hole:
         parent = (hole - 1) >> 1
-        if f[parent] < push_f:
+        if f[parent] < push_f or (f[parent] == push_f and heap[parent] > push):
             break
         f[hole] = f[parent]
         heap[hole] = heap[parent]

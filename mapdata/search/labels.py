@@ -14,7 +14,7 @@ from mapdata.checks import check_choice
 from mapdata.generators.maps import Maps, unpacked
 from mapdata.jit import Int, kernel
 from mapdata.movement import STEPS
-from mapdata.search.api import SEARCHES
+from mapdata.search.api import SEARCHES, as_terrain, high_cost_complaint
 from mapdata.search.bitboard import MAX_SIDE as MAX_BITBOARD_SIDE
 from mapdata.search.bitboard import bfs_labels_by_bits
 from mapdata.search.kernels import (
@@ -40,6 +40,7 @@ from mapdata.search.lattice import (
     plain_lattice,
     split_cost,
 )
+from mapdata.search.terrain import astar_labels_on_terrain
 
 _MIN_CELLS_FOR_FLOOD = 3
 """Number of goals from which on one search of the whole map takes less time than an A* to each."""
@@ -69,7 +70,9 @@ class RouteLabels:
             neither has one from a cell to itself.
         iterations: (S,) int64, cells expanded.
         costs: (P, 2) int64, straight and diagonal moves between the seed points of each pair, (-1,
-            0) without a path. BFS counts all moves as straight.
+            0) without a path. BFS counts all moves as straight. By A* on terrain, they are the
+            doubled cost: the sums of both cells' costs over straight and over diagonal moves; all
+            is in the first where diagonals cost 1.
     """
 
     moves: Bytes
@@ -88,11 +91,13 @@ class Labels:
         maps: the maps that are labelled.
         bfs: the labels by breadth-first search.
         astar: the labels by A*.
+        on_terrain: whether cells have costs of their own.
     """
 
     maps: Maps
     bfs: RouteLabels
     astar: RouteLabels
+    on_terrain: bool = False
 
     @cached_property
     def reachable(self) -> Flags:
@@ -142,6 +147,8 @@ class Labels:
         first, end = self.maps.pair_offsets[i : i + 2]
         straight, diagonal = self.by_search(search).costs[first:end].T
         costs = straight + diagonal * self.maps.movement.diagonal_cost
+        if self.on_terrain and search == "astar":
+            costs = costs / 2
         upper_triangle = np.zeros((n, n))
         upper_triangle[pairs_of(n)] = np.where(straight < 0, -1.0, costs)
         return upper_triangle + upper_triangle.T
@@ -189,7 +196,12 @@ class _MapBatch(NamedTuple):
     scratch: Scratch
 
 
-def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
+def label(
+    maps: Maps,
+    advance: Callable[[int], object] | None = None,
+    *,
+    terrain: Bytes | None = None,
+) -> Labels:
     """Return routes, iterations and connection matrices of ``maps`` by BFS and by A*.
 
     One breadth-first search from each seed point gives its row of the BFS matrix, its segment and
@@ -200,15 +212,19 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
     - With diagonals at sqrt(2), all shortest paths of a pair have the same numbers of straight and
       of diagonal moves, so one search from a room gives its costs if there are three or more.
     - Otherwise A* searches each pair.
+    - On terrain, one search from a room gives its costs.
 
     Source: arXiv 2110.13242, section 4 (Characterization).
 
     Args:
         maps: the maps to label.
         advance: called with the number of maps labelled since its last call.
+        terrain: (N, H, W) uint8, 0 on occupied cells and 1 to 255, the cost of a cell, on free
+            ones. BFS counts moves, so it changes only what A* finds.
 
     Raises:
-        ValueError: a seed point that is not a free cell of its map.
+        ValueError: a seed point that is not a free cell of its map; terrain that does not fit the
+            maps, or whose costs are too high to be exact. The message names the map.
 
     >>> from mapdata import MapSpec, generate
     >>> labels = label(generate(MapSpec(), seed=0, indices=[2]))
@@ -222,7 +238,10 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
     # Without diagonals both searches are optimal and each move costs 1, so the costs of A* are
     # those of BFS.
     has_diagonals = maps.movement.connectivity == 8
-    astar_costs = np.empty_like(bfs_costs) if has_diagonals else None
+    has_astar_costs = has_diagonals or terrain is not None
+    astar_costs = np.empty_like(bfs_costs) if has_astar_costs else None
+    if terrain is not None and len(terrain) != len(maps):
+        raise ValueError(f"terrain: got {len(terrain)} maps, expected {len(maps)}")
     size = maps.packed.shape[1], maps.columns
     lattice = plain_lattice(size, move_rule(maps.movement))
     scratch = plain_new_scratch(lattice)
@@ -245,7 +264,15 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
             scratch,
         )
         # A* comes first, since it checks the seed points, on which BFS relies.
-        moves, bad_seed_point = _collect_astar_labels(batch, astar_table, astar_costs, all_walls)
+        if terrain is None:
+            moves, bad_seed_point = _collect_astar_labels(
+                batch, astar_table, astar_costs, all_walls
+            )
+        else:
+            assert astar_costs is not None
+            moves, bad_seed_point = _collect_terrain_labels(
+                batch, terrain[rows], maps.index[rows], astar_table, astar_costs
+            )
         if bad_seed_point is not None:
             m, room = bad_seed_point
             cell = tuple(seed_points[m, room].tolist())
@@ -275,7 +302,7 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
         astar_costs = bfs_costs.copy()
     bfs = _route_labels(np.concatenate(bfs_moves), bfs_table, bfs_costs)
     astar = _route_labels(np.concatenate(astar_moves), astar_table, astar_costs)
-    return Labels(maps, bfs, astar)
+    return Labels(maps, bfs, astar, terrain is not None)
 
 
 def _padded_cells(seed_points: Ints, size: tuple[int, int], lattice: Lattice) -> Ints:
@@ -308,6 +335,34 @@ def _collect_astar_labels(
         done, used, bad_room = _astar_labels(
             *batch, segment_table, pair_costs, all_walls, moves, done, used
         )
+        if bad_room >= 0:
+            return moves[:used], (done, bad_room)
+        if done < len(batch.grids):
+            moves = np.concatenate((moves, np.empty_like(moves)))
+    return moves[:used].copy(), None
+
+
+def _collect_terrain_labels(
+    batch: _MapBatch,
+    terrain: Bytes,
+    map_numbers: Ints,
+    segment_table: Ints,
+    pair_sums: Ints,
+) -> tuple[Bytes, tuple[int, int] | None]:
+    """Label a batch by A* on ``terrain`` (N, H, W), as `_collect_astar_labels` does without it.
+
+    Raises:
+        ValueError: terrain that does not fit the maps, or whose costs are too high to be exact.
+    """
+    terrain = as_terrain(terrain, batch.grids)
+    moves = np.empty(4 * batch.lattice.stride * int(batch.rooms.sum()), np.uint8)
+    done = used = 0
+    while done < len(batch.grids):
+        done, used, bad_room, high_cost = astar_labels_on_terrain(
+            terrain, *batch[1:], segment_table, pair_sums, moves, done, used
+        )
+        if high_cost:
+            raise ValueError(f"map {map_numbers[done]}: {high_cost_complaint(high_cost)}")
         if bad_room >= 0:
             return moves[:used], (done, bad_room)
         if done < len(batch.grids):

@@ -207,34 +207,62 @@ def heuristic(rows: Int, columns: Int, lattice: Lattice) -> Int:
 
 
 @kernel
-def _heuristic_costs(differences: Ints, rule: MoveRule) -> Floats:
-    """Return the heuristic (n,), in cells, of the differences (n, 2) between two cells."""
+def _heuristic_costs(differences: Ints, min_costs: Ints | None, rule: MoveRule) -> Floats:
+    """Return the heuristic (n,), in cells, of the differences (n, 2) between two cells.
+
+    ``min_costs`` (n,) are on terrain the smallest costs of a free cell, otherwise None.
+    """
     lattice = lattice_of((0, 0), rule)
     costs = np.empty(len(differences))
     for k in range(len(differences)):
-        costs[k] = in_cells(heuristic(differences[k, 0], differences[k, 1], lattice))
+        free_map_cost = heuristic(differences[k, 0], differences[k, 1], lattice)
+        if min_costs is None:
+            costs[k] = in_cells(free_map_cost)
+        else:
+            straight, diagonal = split_cost(free_map_cost)
+            # The counts are multiplied first, so that the cost is rounded only as `in_cells` does.
+            costs[k] = min_costs[k] * straight + (min_costs[k] * diagonal) * math.sqrt(2.0)
     return costs
 
 
-def heuristics(starts: ArrayLike, goals: ArrayLike, movement: Movement) -> Floats:
-    """Return the heuristic from ``starts`` to ``goals``, (..., 2), as (...) float64 in cells."""
-    # The kernel is compiled only once, since the differences always have this dtype and layout.
+def heuristics(
+    starts: ArrayLike, goals: ArrayLike, movement: Movement, min_costs: ArrayLike | None = None
+) -> Floats:
+    """Return the heuristic from ``starts`` to ``goals``, (..., 2), as (...) float64 in cells.
+
+    On terrain, ``min_costs`` is the smallest cost of a free cell: an integer, or (...) of them.
+    """
+    # The kernel is compiled only once, since its arrays always have these dtypes and layouts.
     differences = np.subtract(starts, goals, dtype=np.int64, order="C")
-    costs = _heuristic_costs(differences.reshape(-1, 2), move_rule(movement))
-    return costs.reshape(differences.shape[:-1])
+    shape = differences.shape[:-1]
+    factors = None
+    if min_costs is not None:
+        factors = np.empty(shape, np.int64)
+        factors[...] = min_costs
+        factors = factors.reshape(-1)
+    costs = _heuristic_costs(differences.reshape(-1, 2), factors, move_rule(movement))
+    return costs.reshape(shape)
 
 
 HARD = 1.05
 """Smallest hardness of a problem that counts as hard."""
 
 
-def hardness(costs: Floats, starts: Ints, goals: Ints, movement: Movement) -> Floats:
+def hardness(
+    costs: Floats,
+    starts: Ints,
+    goals: Ints,
+    movement: Movement,
+    min_costs: ArrayLike | None = None,
+) -> Floats:
     """Return optimal ``costs`` (n,) divided by the heuristic.
 
     The hardness is 1 from a cell to itself and -1 where the cost is -1. It is exactly 1, not 1 -
-    1e-16, where a shortest path is as long as on an empty map.
+    1e-16, where a shortest path is as long as on an empty map. On terrain that is a map whose cells
+    all have the smallest cost of a free cell; ``min_costs`` is this cost, an integer or (n,) of
+    them. Few paths on terrain are as cheap.
     """
-    lower_bounds = heuristics(starts, goals, movement)
+    lower_bounds = heuristics(starts, goals, movement, min_costs)
     # The maximum only avoids a division by 0: between different cells the heuristic is at least 1.
     ratios = np.where(lower_bounds > 0, costs / np.maximum(lower_bounds, 1), 1.0)
     return np.where(costs < 0, -1.0, ratios)

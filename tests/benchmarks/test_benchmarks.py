@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from benchmarks import __main__ as door
-from benchmarks import making, measure, naive, paths
+from benchmarks import making, measure, naive, paths, terrain
 from benchmarks.measure import Peer, Row
-from mapdata import MapSpec, generate, label
+from mapdata import MapSpec, distance_field, generate, label
 
 MAPS = 20
 
@@ -237,6 +237,7 @@ def test_every_table_has_its_module() -> None:
 TITLES = {
     "labels": "Labels on one core",
     "paths": "Paths",
+    "terrain": "Terrain",
     "making": "Making maps",
     "build": "Building a dataset",
     "loading": "Loading",
@@ -256,3 +257,32 @@ def test_the_page_has_every_table() -> None:
     assert found == list(TITLES.values())
     in_one_line = " ".join(page.split())
     assert f"Single tables go by their names: {', '.join(door.TABLES)}." in in_one_line
+
+
+def test_rows_of_terrain_say_which_peer_is_absent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Our times stay, with what is missing in the notes."""
+    monkeypatch.setattr(measure, "absence", lambda module: "not installed")
+    monkeypatch.setattr(measure, "AT_LEAST", 1e-9)
+    for name, terrains in terrain.maps_of(1).items():
+        assert terrains[0].shape == (64, 64)
+        assert terrains[0].min() >= 1, name
+    rows = terrain.rows_of("ones", terrain.maps_of(1)["ones"], 1)
+    assert [row.note for row in rows] == [
+        "scikit-image: skipped",
+        "scikit-image: skipped",
+        "pyastar2d: skipped",
+    ]
+    assert all(row.mapdata for row in rows)
+
+
+@pytest.mark.parametrize("part", ["field", "path"])
+def test_other_costs_on_terrain_stop_the_run(part: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A peer that finds other costs than ours is no peer."""
+    ones = terrain.maps_of(1)["ones"]
+    field = distance_field(1 - ones[0], (0, 0), terrain.MOVEMENT)
+    wrong = {"field": float(part == "field"), "path": float(part == "path")}
+    monkeypatch.setattr(terrain, "SCIKIT_IMAGE", Peer("scikit-image", "numpy", "numpy", ""))
+    monkeypatch.setattr(terrain, "skimage_costs", lambda *_: field + wrong["field"])
+    monkeypatch.setattr(terrain, "skimage_path_cost", lambda *_: float(field[3, 9]) + wrong["path"])
+    with pytest.raises(SystemExit, match=f"mapdata and scikit-image differ in a {part}"):
+        terrain.check_costs(ones, [(3, 9)], [(0, 0)])

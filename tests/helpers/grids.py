@@ -46,12 +46,14 @@ def squared_half_cells(grid: Bytes) -> npt.NDArray[np.int64]:
 
 
 def scipy_distances(
-    grid: Array, cells: Sequence[Cell], movement: Movement
+    grid: Array, cells: Sequence[Cell], movement: Movement, terrain: Array | None = None
 ) -> npt.NDArray[np.float64]:
     """Return (n, H, W) distances from n cells, -1 unreachable, by scipy.
 
     The edges of one direction are those between the free cells of the grid and of a shifted copy.
+    On terrain a move costs the mean of its two cells times its length.
     """
+    weights = np.pad(np.ones(grid.shape) if terrain is None else terrain.astype(float), 1)
     height, width = grid.shape
     free = np.pad(grid == 0, 1)
     number = np.pad(np.arange(height * width).reshape(height, width), 1)
@@ -73,8 +75,9 @@ def scipy_distances(
                 usable = usable & shifted(free, down, 0) & shifted(free, 0, right)
             rows.append(shifted(number, 0, 0)[usable])
             columns.append(shifted(number, down, right)[usable])
-            cost = movement.diagonal_cost if diagonal else 1.0
-            costs.append(np.full(int(usable.sum()), cost))
+            length = movement.diagonal_cost if diagonal else 1.0
+            means = (shifted(weights, 0, 0) + shifted(weights, down, right)) / 2
+            costs.append(means[usable] * length)
     edges = (np.concatenate(costs), (np.concatenate(rows), np.concatenate(columns)))
     graph = sparse.csr_array(edges, shape=(grid.size, grid.size))
     distances = csgraph.dijkstra(graph, indices=[row * width + column for row, column in cells])

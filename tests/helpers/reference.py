@@ -162,20 +162,31 @@ def is_free(grid: Grid, cell: Cell) -> bool:
     return 0 <= row < len(grid) and 0 <= column < len(grid[0]) and grid[row][column] == 0
 
 
-def neighbours(grid: Grid, cell: Cell, movement: Movement) -> Iterator[tuple[Cell, Pair]]:
-    """Yield the cells one move away and the move's cost: N, E, S, W, NE, SE, SW, NW."""
+def neighbours(
+    grid: Grid, cell: Cell, movement: Movement, terrain: Grid | None = None
+) -> Iterator[tuple[Cell, Pair]]:
+    """Yield the cells one move away and the move's cost: N, E, S, W, NE, SE, SW, NW.
+
+    On terrain the cost is doubled: the sum of both cells for a straight or for a diagonal move.
+    """
     row, column = cell
+
+    def weight(neighbour: Cell) -> int:
+        if terrain is None:
+            return 1
+        return terrain[row][column] + terrain[neighbour[0]][neighbour[1]]
+
     for down, right in STRAIGHT:
         neighbour = (row + down, column + right)
         if is_free(grid, neighbour):
-            yield neighbour, (1, 0)
+            yield neighbour, (weight(neighbour), 0)
     if movement.connectivity == 4:
         return
     for down, right in DIAGONAL:
         neighbour = (row + down, column + right)
         beside = is_free(grid, (row + down, column)) and is_free(grid, (row, column + right))
         if is_free(grid, neighbour) and (beside or movement.corner_cutting):
-            yield neighbour, (0, 1)
+            yield neighbour, (0, weight(neighbour))
 
 
 def weigh(cost: Pair, movement: Movement) -> int:
@@ -189,9 +200,10 @@ def weigh(cost: Pair, movement: Movement) -> int:
     return cost[0] * one + cost[1] * diagonal
 
 
-def as_float(cost: Pair, movement: Movement) -> float:
-    """Turn a cost into a float, once."""
-    return cost[0] + cost[1] * movement.diagonal_cost
+def as_float(cost: Pair, movement: Movement, terrain: Grid | None = None) -> float:
+    """Turn a cost into a float, once. On terrain it is doubled until here."""
+    sum_of_moves = cost[0] + cost[1] * movement.diagonal_cost
+    return sum_of_moves if terrain is None else sum_of_moves / 2
 
 
 def add(one: Pair, other: Pair) -> Pair:
@@ -199,13 +211,13 @@ def add(one: Pair, other: Pair) -> Pair:
     return one[0] + other[0], one[1] + other[1]
 
 
-def heuristic(cell: Cell, goal: Cell, movement: Movement) -> Pair:
-    """Return the cost of the way to the goal on an empty map: Manhattan or octile."""
+def heuristic(cell: Cell, goal: Cell, movement: Movement, factor: int = 1) -> Pair:
+    """Return the cost to the goal on an empty map, Manhattan or octile, times a factor."""
     rows = abs(cell[0] - goal[0])
     columns = abs(cell[1] - goal[1])
     if movement.connectivity == 4:
-        return rows + columns, 0
-    return abs(rows - columns), min(rows, columns)
+        return factor * (rows + columns), 0
+    return factor * abs(rows - columns), factor * min(rows, columns)
 
 
 # --- searches -----------------------------------------------------------------------------------
@@ -245,9 +257,17 @@ def reference_bfs(grid: Grid, start: Cell, goal: Cell, movement: Movement) -> Re
     return ReferenceResult([], -1.0, iterations)
 
 
-def reference_astar(grid: Grid, start: Cell, goal: Cell, movement: Movement) -> ReferenceResult:
-    """Pop the least f, of equal ones the latest; a parent changes only for a smaller g."""
-    frontier = [(weigh(heuristic(start, goal, movement), movement), 0, start)]
+def reference_astar(
+    grid: Grid, start: Cell, goal: Cell, movement: Movement, terrain: Grid | None = None
+) -> ReferenceResult:
+    """Pop the least f, of equal ones the latest; a parent changes only for a smaller g.
+
+    On terrain the heuristic is that of a map whose cells all have the smallest cost of a free cell.
+    """
+    factor = 1
+    if terrain is not None:
+        factor = 2 * min(value for row in terrain for value in row if value > 0)
+    frontier = [(weigh(heuristic(start, goal, movement, factor), movement), 0, start)]
     costs: dict[Cell, Pair] = {start: (0, 0)}
     parents = {start: start}
     taken: set[Cell] = set()
@@ -260,20 +280,23 @@ def reference_astar(grid: Grid, start: Cell, goal: Cell, movement: Movement) -> 
         taken.add(cell)
         if cell == goal:
             path = trace(parents, goal)
-            return ReferenceResult(path, as_float(costs[goal], movement), len(taken))
-        for neighbour, step in neighbours(grid, cell, movement):
+            return ReferenceResult(path, as_float(costs[goal], movement, terrain), len(taken))
+        for neighbour, step in neighbours(grid, cell, movement, terrain):
             cost = add(costs[cell], step)
             if neighbour not in costs or weigh(cost, movement) < weigh(costs[neighbour], movement):
                 costs[neighbour] = cost
                 parents[neighbour] = cell
                 pushes += 1
-                estimate = weigh(add(cost, heuristic(neighbour, goal, movement)), movement)
+                to_goal = heuristic(neighbour, goal, movement, factor)
+                estimate = weigh(add(cost, to_goal), movement)
                 heapq.heappush(frontier, (estimate, -pushes, neighbour))
     return ReferenceResult([], -1.0, len(taken))
 
 
-def reference_distances(grid: Grid, goal: Cell, movement: Movement) -> dict[Cell, Pair]:
-    """Dijkstra: the exact cost from every cell that reaches the goal."""
+def reference_distances(
+    grid: Grid, goal: Cell, movement: Movement, terrain: Grid | None = None
+) -> dict[Cell, Pair]:
+    """Dijkstra: the exact cost from every cell that reaches the goal; on terrain it is doubled."""
     costs: dict[Cell, Pair] = {goal: (0, 0)}
     frontier = [(0, goal)]
     taken: set[Cell] = set()
@@ -282,7 +305,7 @@ def reference_distances(grid: Grid, goal: Cell, movement: Movement) -> dict[Cell
         if cell in taken:
             continue
         taken.add(cell)
-        for neighbour, step in neighbours(grid, cell, movement):
+        for neighbour, step in neighbours(grid, cell, movement, terrain):
             cost = add(costs[cell], step)
             if neighbour not in costs or weigh(cost, movement) < weigh(costs[neighbour], movement):
                 costs[neighbour] = cost
@@ -290,24 +313,28 @@ def reference_distances(grid: Grid, goal: Cell, movement: Movement) -> dict[Cell
     return costs
 
 
-def reference_field(grid: Grid, goal: Cell, movement: Movement) -> npt.NDArray[np.float32]:
+def reference_field(
+    grid: Grid, goal: Cell, movement: Movement, terrain: Grid | None = None
+) -> npt.NDArray[np.float32]:
     """Return the distance field: float32, -1 where the goal cannot be reached."""
     field = np.full((len(grid), len(grid[0])), -1, dtype=np.float32)
-    for cell, cost in reference_distances(grid, goal, movement).items():
-        field[cell] = as_float(cost, movement)
+    for cell, cost in reference_distances(grid, goal, movement, terrain).items():
+        field[cell] = as_float(cost, movement, terrain)
     return field
 
 
-def reference_moves(grid: Grid, goal: Cell, movement: Movement) -> npt.NDArray[np.uint8]:
+def reference_moves(
+    grid: Grid, goal: Cell, movement: Movement, terrain: Grid | None = None
+) -> npt.NDArray[np.uint8]:
     """Return, per cell, the bits of the moves that lower the cost to the goal by their own.
 
     Bit k is move k of N, E, S, W, NE, SE, SW, NW.
     """
     bits = np.zeros((len(grid), len(grid[0])), np.uint8)
     steps = STRAIGHT + DIAGONAL
-    costs = reference_distances(grid, goal, movement)
+    costs = reference_distances(grid, goal, movement, terrain)
     for cell, cost in costs.items():
-        for neighbour, step in neighbours(grid, cell, movement):
+        for neighbour, step in neighbours(grid, cell, movement, terrain):
             through = weigh(add(costs[neighbour], step), movement)
             if through == weigh(cost, movement):
                 bits[cell] |= 1 << steps.index((neighbour[0] - cell[0], neighbour[1] - cell[1]))
@@ -334,8 +361,15 @@ def reference_problem(
     movement: Movement,
     draws: int = 32,
     only_goal: Cell | None = None,
+    terrain: Grid | None = None,
 ) -> ReferenceProblem | None:
-    """Draw goals, and for each a start that is far enough, until all bands are met."""
+    """Draw goals, and for each a start that is far enough, until all bands are met.
+
+    On terrain the number of a path's cells does not follow from its cost, so A* counts them.
+    """
+    factor = 1
+    if terrain is not None:
+        factor = 2 * min(value for row in terrain for value in row if value > 0)
     if only_goal is not None and not is_free(grid, only_goal):
         return None
     known: dict[Cell, dict[Cell, Pair]] = {}
@@ -345,20 +379,26 @@ def reference_problem(
         words = block(seed, index, epoch, PROBLEM, draw)
         goal = only_goal or free[bounded(words[0], 0, len(free) - 1)]
         if goal not in known:
-            known[goal] = reference_distances(grid, goal, movement)
+            known[goal] = reference_distances(grid, goal, movement, terrain)
         costs = known[goal]
         nearest, _ = bands[0]
         starts = [
             cell
             for cell in free
-            if cell != goal and cell in costs and as_float(costs[cell], movement) >= nearest
+            if cell != goal
+            and cell in costs
+            and as_float(costs[cell], movement, terrain) >= nearest
         ]
         if not starts:
             continue
         start = starts[bounded(words[1], 0, len(starts) - 1)]
-        distance = as_float(costs[start], movement)
-        hardness = distance / as_float(heuristic(start, goal, movement), movement)
-        length = sum(costs[start]) + 1
+        distance = as_float(costs[start], movement, terrain)
+        lower_bound = heuristic(start, goal, movement, factor)
+        hardness = distance / as_float(lower_bound, movement, terrain)
+        if terrain is None:
+            length = sum(costs[start]) + 1
+        else:
+            length = len(reference_astar(grid, start, goal, movement, terrain).path)
         values = zip((distance, hardness, length), bands, strict=True)
         if all(low <= value <= high for value, (low, high) in values):
             return ReferenceProblem(start, goal, costs[start])
@@ -376,16 +416,17 @@ def first_bad_step(grid: Grid, path: Sequence[Cell], movement: Movement) -> int 
     return None
 
 
-def path_cost(path: Sequence[Cell], movement: Movement) -> float:
+def path_cost(path: Sequence[Cell], movement: Movement, terrain: Grid | None = None) -> float:
     """Return the cost of a good path."""
     straight = 0
     diagonal = 0
     for a, b in pairwise(path):
+        weight = 1 if terrain is None else terrain[a[0]][a[1]] + terrain[b[0]][b[1]]
         if a[0] != b[0] and a[1] != b[1]:
-            diagonal += 1
+            diagonal += weight
         else:
-            straight += 1
-    return as_float((straight, diagonal), movement)
+            straight += weight
+    return as_float((straight, diagonal), movement, terrain)
 
 
 # --- labels -------------------------------------------------------------------------------------

@@ -1,0 +1,658 @@
+"""Searches on terrain: equal to the slow reference, to scipy and to scikit-image, and on terrain of
+ones equal to the searches without terrain.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from functools import partial
+from math import isqrt, sqrt
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from helpers import reference
+from helpers.grids import scipy_distances
+from helpers.reference import Cell
+from helpers.specs import MOVEMENTS, movements
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mapdata import MapSpec, astar, bfs, check_path, distance_field, generate
+from mapdata.arrays import Bytes, Floats
+from mapdata.generators.maps import Maps, pack
+from mapdata.jit import kernel
+from mapdata.movement import Movement
+from mapdata.search import hardness, inflate, inflate_terrain, label, search_batch
+from mapdata.search.api import solve_batch
+from mapdata.search.kernels import plain_new_scratch
+from mapdata.search.lattice import (
+    ASTAR,
+    DIAGONAL,
+    MAX_PATH_COST,
+    UNIT,
+    MoveRule,
+    lattice_of,
+    move_rule,
+    plain_lattice,
+)
+from mapdata.search.terrain import load_terrain, shortest_terrain_costs, terrain_heuristic
+
+Array: TypeAlias = npt.NDArray[Any]
+
+OCTILE = Movement(8)
+CUTTING = Movement(8, corner_cutting=True)
+
+VALUES = [
+    (1,),
+    (255,),
+    (1, 2),
+    (8, 12, 53, 77, 92),
+    tuple(range(1, 11)),
+    tuple(range(1, 256)),
+]
+"""Sets of cell costs: with many ties, with few, and with the largest and the smallest cost."""
+
+SHAPES = [(1, 1), (1, 30), (30, 1), (2, 2), (5, 8), (12, 12), (16, 9), (3, 64), (20, 20)]
+
+
+class Problem(NamedTuple):
+    """Terrain with two free cells."""
+
+    terrain: Bytes
+    start: Cell
+    goal: Cell
+
+    @property
+    def grid(self) -> Bytes:
+        """Return the grid without costs."""
+        grid: Bytes = (self.terrain == 0).astype(np.uint8)
+        return grid
+
+
+def random_problem(
+    source: np.random.Generator,
+    shape: tuple[int, int],
+    values: tuple[int, ...],
+    occupied_share: float,
+) -> Problem:
+    """Draw terrain with these cell costs, and two free cells of it."""
+    terrain = source.choice(np.array(values, np.uint8), shape)
+    occupied = source.random(shape) < occupied_share
+    start, goal = (tuple(cell) for cell in source.integers(0, shape, size=(2, 2)).tolist())
+    occupied[start] = False
+    occupied[goal] = False
+    terrain[occupied] = 0
+    return Problem(terrain, start, goal)
+
+
+@st.composite
+def problems(draw: st.DrawFn) -> Problem:
+    """Draw a problem of any shape, cell costs and share of occupied cells."""
+    source = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    shape = draw(st.sampled_from(SHAPES))
+    occupied_share = draw(st.sampled_from([0.0, 0.1, 0.3, 0.5]))
+    return random_problem(source, shape, draw(st.sampled_from(VALUES)), occupied_share)
+
+
+def optimal_moves(terrain: Bytes, goal: Cell, movement: Movement) -> Bytes:
+    """Return the optimal moves of every cell as bit sets, (H, W) uint8."""
+    lattice = plain_lattice(terrain.shape, move_rule(movement))
+    scratch = plain_new_scratch(lattice)
+    padded = load_terrain(terrain, lattice, np.zeros(lattice.cells, np.uint8), scratch.came_from)
+    cell = (goal[0] + 1) * lattice.stride + goal[1] + 1
+    assert shortest_terrain_costs(np.array([cell]), padded, lattice, scratch) == 0
+    rows = terrain.shape[0] + 2
+    return scratch.came_from.reshape(rows, lattice.stride)[1:-1, 1:-1]
+
+
+# --- equal to the reference ---------------------------------------------------------------------
+
+
+@movements
+@settings(max_examples=100)
+@given(problem=problems())
+def test_astar_on_terrain_equals_the_reference(movement: Movement, problem: Problem) -> None:
+    """Path, cost and the number of expansions are the same, so the order of expansion is, too."""
+    terrain, start, goal = problem
+    solution = astar(problem.grid, start, goal, movement, terrain=terrain)
+    expected = reference.reference_astar(
+        problem.grid.tolist(), start, goal, movement, terrain.tolist()
+    )
+    assert [tuple(cell) for cell in solution.path.tolist()] == expected.path
+    assert solution.cost == expected.cost
+    assert solution.iterations == expected.iterations
+    assert (type(solution.cost), type(solution.iterations)) == (float, int)
+
+
+@pytest.mark.parametrize("goal", [(20, 79), (59, 79)], ids=["solvable", "unsolvable"])
+def test_astar_equals_the_reference_where_many_open_cells_have_nearly_the_same_f(
+    goal: Cell,
+) -> None:
+    """One cell of cost 255 makes the buckets of the open list wide, so that hundreds of pushes lie
+    in one of them and its heap has to grow.
+    """
+    terrain = np.random.default_rng(4).integers(1, 3, (60, 80)).astype(np.uint8)
+    terrain[0, 79] = 255
+    terrain[57:, 76] = 0
+    terrain[57, 76:] = 0
+    grid = (terrain == 0).astype(np.uint8)
+    start = (30, 0)
+    solution = astar(grid, start, goal, CUTTING, terrain=terrain)
+    expected = reference.reference_astar(grid.tolist(), start, goal, CUTTING, terrain.tolist())
+    assert [tuple(cell) for cell in solution.path.tolist()] == expected.path
+    assert solution[1:] == expected[1:]
+
+
+@movements
+@settings(max_examples=60)
+@given(problem=problems())
+def test_fields_on_terrain_equal_the_reference(movement: Movement, problem: Problem) -> None:
+    """Every cell holds its exact cost, rounded to float32 once, and all of its optimal moves."""
+    terrain, _, goal = problem
+    grid = problem.grid
+    field = distance_field(grid, goal, movement, terrain=terrain)
+    expected = reference.reference_field(grid.tolist(), goal, movement, terrain.tolist())
+    np.testing.assert_array_equal(field, expected)
+    np.testing.assert_array_equal(
+        optimal_moves(terrain, goal, movement),
+        reference.reference_moves(grid.tolist(), goal, movement, terrain.tolist()),
+    )
+
+
+@movements
+@settings(max_examples=60)
+@given(problem=problems())
+def test_the_path_check_gives_the_cost_of_astar(movement: Movement, problem: Problem) -> None:
+    """The cost of a path follows from its cells alone, and is the same float."""
+    terrain, start, goal = problem
+    solution = astar(problem.grid, start, goal, movement, terrain=terrain)
+    if solution.cost < 0:
+        return
+    cost = check_path(problem.grid, solution.path, movement, terrain=terrain)
+    assert cost == solution.cost
+    path = [tuple(cell) for cell in solution.path.tolist()]
+    assert cost == reference.path_cost(path, movement, terrain.tolist())
+
+
+@movements
+@settings(max_examples=60)
+@given(problem=problems())
+def test_costs_there_and_back_are_equal(movement: Movement, problem: Problem) -> None:
+    """The rule is symmetric, so start and goal can be exchanged in costs."""
+    terrain, start, goal = problem
+    there = astar(problem.grid, start, goal, movement, terrain=terrain)
+    back = astar(problem.grid, goal, start, movement, terrain=terrain)
+    assert there.cost == back.cost
+    field = distance_field(problem.grid, goal, movement, terrain=terrain)
+    assert field[start] == np.float32(there.cost)
+
+
+# --- terrain of ones ----------------------------------------------------------------------------
+
+
+@movements
+@settings(max_examples=60)
+@given(problem=problems())
+def test_terrain_of_ones_changes_nothing(movement: Movement, problem: Problem) -> None:
+    """Floats, paths, expansions, fields and optimal moves are those of the map without terrain."""
+    grid = problem.grid
+    ones = 1 - grid
+    with_terrain = astar(grid, problem.start, problem.goal, movement, terrain=ones)
+    without = astar(grid, problem.start, problem.goal, movement)
+    assert with_terrain.path.tolist() == without.path.tolist()
+    assert with_terrain[1:] == without[1:]
+    np.testing.assert_array_equal(
+        distance_field(grid, problem.goal, movement, terrain=ones),
+        distance_field(grid, problem.goal, movement),
+    )
+    np.testing.assert_array_equal(
+        optimal_moves(ones, problem.goal, movement),
+        reference.reference_moves(grid.tolist(), problem.goal, movement),
+    )
+
+
+@movements
+def test_terrain_of_ones_changes_nothing_on_a_large_map(movement: Movement) -> None:
+    """A search of thousands of expansions keeps its order, too."""
+    grid = (np.random.default_rng(1).random((150, 170)) < 0.3).astype(np.uint8)
+    grid[0, 0] = grid[149, 169] = 0
+    with_terrain = astar(grid, (0, 0), (149, 169), movement, terrain=1 - grid)
+    without = astar(grid, (0, 0), (149, 169), movement)
+    assert with_terrain.path.tolist() == without.path.tolist()
+    assert with_terrain[1:] == without[1:]
+
+
+@movements
+@settings(max_examples=30)
+@given(problem=problems())
+def test_bfs_counts_moves_on_terrain(movement: Movement, problem: Problem) -> None:
+    """The costs of the cells do not change what BFS finds."""
+    terrain, start, goal = problem
+    on_terrain = bfs(problem.grid, start, goal, movement, terrain=terrain)
+    without = bfs(problem.grid, start, goal, movement)
+    assert on_terrain.path.tolist() == without.path.tolist()
+    assert on_terrain[1:] == without[1:]
+
+
+# --- equal to scipy and scikit-image ------------------------------------------------------------
+
+Oracle: TypeAlias = Callable[[Bytes, Cell, Movement], Floats]
+
+
+def scipy_field(terrain: Bytes, goal: Cell, movement: Movement) -> Floats:
+    """Return the costs to ``goal`` by scipy's Dijkstra, -1 where there is no path."""
+    costs: Floats = scipy_distances(terrain == 0, [goal], movement, terrain)[0]
+    return costs
+
+
+def skimage_field(terrain: Bytes, goal: Cell, movement: Movement) -> Floats:
+    """Return the costs to ``goal`` by scikit-image, which cuts corners, -1 without a path.
+
+    MCP_Geometric has our rule for 4 moves and for diagonals of sqrt(2). MCP adds up the cells of a
+    path, whatever its moves, so that for diagonals of 1 half of both ends is too much.
+    """
+    graph = pytest.importorskip("skimage.graph")
+    weights = np.where(terrain > 0, terrain, np.inf)
+    is_diagonal_one = movement.diagonal_cost == 1
+    search_class = graph.MCP if is_diagonal_one else graph.MCP_Geometric
+    costs, _ = search_class(weights, fully_connected=movement.connectivity == 8).find_costs([goal])
+    if is_diagonal_one:
+        costs = costs - (terrain[goal] + terrain.astype(float)) / 2
+    return np.where(np.isfinite(costs) & (terrain > 0), costs, -1)
+
+
+def compare_with(oracle: Oracle, movement: Movement, count: int, size: int) -> None:
+    """Compare the costs of ``count`` maps with those of an oracle.
+
+    Whole costs are equal. Others differ by the rounding of the oracle's sums; that ties are judged
+    exactly is what the comparison with the reference shows.
+    """
+    source = np.random.default_rng(5)
+    for number in range(count):
+        values = VALUES[number % len(VALUES)]
+        occupied_share = (0.0, 0.1, 0.3)[number % 3]
+        terrain, _, goal = random_problem(source, (size, size + 3), values, occupied_share)
+        field = distance_field(terrain == 0, goal, movement, terrain=terrain)
+        expected = oracle(terrain, goal, movement)
+        if movement.connectivity == 4 or movement.diagonal_cost == 1:
+            np.testing.assert_array_equal(field, expected)
+        else:
+            np.testing.assert_allclose(field, expected, rtol=1e-7)
+
+
+@movements
+def test_costs_equal_those_of_scipy(movement: Movement) -> None:
+    """Under every movement, the corner rule included."""
+    compare_with(scipy_field, movement, 24, 21)
+
+
+cut_movements = pytest.mark.parametrize(
+    "movement",
+    [m for m in MOVEMENTS if m.connectivity == 4 or m.corner_cutting],
+    ids=["4", "8-cutting", "8-cutting-one"],
+)
+
+
+@cut_movements
+def test_costs_equal_those_of_scikit_image(movement: Movement) -> None:
+    """Where corners may be cut, or no move is diagonal."""
+    pytest.importorskip("skimage.graph")
+    compare_with(skimage_field, movement, 100, 21)
+
+
+@pytest.mark.soak
+@movements
+def test_costs_of_ten_thousand_maps_equal_those_of_scipy(movement: Movement) -> None:
+    """2,000 maps for each movement."""
+    compare_with(scipy_field, movement, 2000, 32)
+
+
+@pytest.mark.soak
+@cut_movements
+def test_costs_of_ten_thousand_maps_equal_those_of_scikit_image(movement: Movement) -> None:
+    """3,334 maps for each movement."""
+    pytest.importorskip("skimage.graph")
+    compare_with(skimage_field, movement, 3334, 32)
+
+
+@pytest.mark.soak
+@movements
+def test_searches_of_ten_thousand_maps_equal_the_reference(movement: Movement) -> None:
+    """2,000 maps for each movement: path, cost, expansions, the field and its optimal moves."""
+    source = np.random.default_rng(6)
+    for number in range(2000):
+        problem = random_problem(
+            source, (16, 17), VALUES[number % len(VALUES)], (0.0, 0.1, 0.3)[number % 3]
+        )
+        terrain, start, goal = problem
+        grid = problem.grid.tolist()
+        solution = astar(problem.grid, start, goal, movement, terrain=terrain)
+        expected = reference.reference_astar(grid, start, goal, movement, terrain.tolist())
+        assert [tuple(cell) for cell in solution.path.tolist()] == expected.path
+        assert solution[1:] == expected[1:]
+        np.testing.assert_array_equal(
+            optimal_moves(terrain, goal, movement),
+            reference.reference_moves(grid, goal, movement, terrain.tolist()),
+        )
+
+
+# --- batches ------------------------------------------------------------------------------------
+
+
+@movements
+def test_a_batch_on_terrain_equals_single_searches(movement: Movement) -> None:
+    """On a map for each problem, and on a map that all problems share."""
+    source = np.random.default_rng(3)
+    batch = [random_problem(source, (14, 15), (1, 2, 9), 0.3) for _ in range(12)]
+    starts = [problem.start for problem in batch]
+    goals = [problem.goal for problem in batch]
+    terrains = np.stack([problem.terrain for problem in batch])
+    solutions = search_batch(
+        "astar", terrains == 0, starts, goals, movement, terrain=terrains.astype(np.int32)
+    )
+    shared = terrains[0] | 1
+    shared_solutions = search_batch(
+        "astar", np.zeros_like(shared), starts, goals, movement, terrain=shared
+    )
+    for k, problem in enumerate(batch):
+        for batch_result, terrain in ((solutions, problem.terrain), (shared_solutions, shared)):
+            solution = astar(terrain == 0, problem.start, problem.goal, movement, terrain=terrain)
+            path = batch_result.cells[batch_result.offsets[k] : batch_result.offsets[k + 1]]
+            np.testing.assert_array_equal(path, solution.path)
+            assert batch_result.cost[k] == solution.cost
+            assert batch_result.iterations[k] == solution.iterations
+
+
+def test_a_batch_may_allow_occupied_ends_of_terrain() -> None:
+    """There is no path, and no cell is expanded; the problem after it is solved as usual."""
+    terrain = np.array([[3, 0, 3], [3, 3, 3]], np.uint8)
+    ends = [(0, 0), (0, 0)], [(0, 1), (1, 0)]
+    solutions = solve_batch(ASTAR, terrain == 0, *ends, OCTILE, True, terrain=terrain)
+    assert solutions.cost.tolist() == [-1.0, 3.0]
+    assert solutions.iterations.tolist() == [0, 2]
+    assert solutions.offsets.tolist() == [0, 0, 2]
+
+
+def test_weighted_searches_refuse_terrain() -> None:
+    """Rather than to search the grid without costs."""
+    with pytest.raises(
+        ValueError, match=r"weights: got \(1, 2.0\) with terrain, expected BFS or A\*"
+    ):
+        solve_batch((1, 2.0), np.zeros((1, 2)), [(0, 0)], [(0, 1)], OCTILE, terrain=[[1, 1]])
+
+
+def test_a_batch_by_bfs_takes_terrain() -> None:
+    """BFS counts moves in batches, too."""
+    terrain = np.array([[[1, 200, 1], [1, 1, 1]]], np.uint8)
+    solutions = search_batch("bfs", terrain == 0, [(0, 0)], [(0, 2)], terrain=terrain)
+    assert solutions.cost.tolist() == [2.0]
+
+
+# --- costs that are too high --------------------------------------------------------------------
+
+STRIP = np.full((1, 9000), 255, np.uint8)
+"""A corridor whose costs pass the bound: a move costs 255, so 4,112 moves cost 1,048,560."""
+
+FREE_STRIP = np.zeros_like(STRIP)
+
+
+def test_costs_below_the_bound_are_exact() -> None:
+    """The last cell before the bound is served, from both searches."""
+    cost = 255.0 * 4112
+    assert 2 * cost < MAX_PATH_COST <= 2 * (cost + 255)
+    assert astar(FREE_STRIP, (0, 0), (0, 4112), OCTILE, terrain=STRIP).cost == cost
+    short = STRIP[:, :4113]
+    assert distance_field(short == 0, (0, 0), OCTILE, terrain=short)[0, 4112] == cost
+
+
+def test_a_cost_at_the_bound_is_refused() -> None:
+    """It is refused rather than served as unreachable, and the message names the cost."""
+    message = r"terrain: a path costs 1,048,815, and costs are exact only below 1,048,576"
+    with pytest.raises(ValueError, match=message):
+        astar(FREE_STRIP, (0, 0), (0, 4113), OCTILE, terrain=STRIP)
+    long = STRIP[:, :4114]
+    with pytest.raises(ValueError, match=message):
+        distance_field(long == 0, (0, 0), OCTILE, terrain=long)
+    with pytest.raises(ValueError, match=f"problem 1: {message}"):
+        search_batch(
+            "astar", FREE_STRIP, [(0, 0), (0, 0)], [(0, 3), (0, 4113)], OCTILE, terrain=STRIP
+        )
+
+
+def test_a_near_goal_on_a_map_with_high_costs_is_not_refused() -> None:
+    """Only costs that a search meets matter."""
+    assert astar(FREE_STRIP, (0, 4000), (0, 4003), OCTILE, terrain=STRIP).cost == 765.0
+
+
+@kernel
+def heuristic_of(columns: int, terrain: Bytes, rule: MoveRule) -> int:
+    """Return the doubled heuristic of a way of ``columns`` columns."""
+    lattice = lattice_of(terrain.shape, rule)
+    values = np.zeros(lattice.cells, np.uint8)
+    padded = load_terrain(terrain, lattice, values, values.copy())
+    heuristic: int = terrain_heuristic(1, columns, padded, lattice)
+    return heuristic
+
+
+@pytest.mark.parametrize("value", [1, 200, 255])
+def test_a_heuristic_beyond_the_bound_does_not_overflow(value: int) -> None:
+    """From the bound on it is the bound; before, it is what unbounded integers give."""
+    terrain = np.full((1, 1), value, np.uint8)
+    last_exact = MAX_PATH_COST // (2 * value)
+    for columns in (1, last_exact - 1, last_exact + 1, 2 * last_exact, 4 * last_exact, 2**24):
+        exact = 2 * value * ((columns - 1) * UNIT + DIAGONAL)
+        heuristic = heuristic_of(columns, terrain, move_rule(OCTILE))
+        assert heuristic == min(exact, MAX_PATH_COST * UNIT)
+
+
+def test_a_goal_beyond_the_bound_and_a_wall_has_no_path() -> None:
+    """All cells before the wall are expanded, and no cost is too high."""
+    walled = STRIP.copy()
+    walled[0, 5] = 0
+    solution = astar(walled == 0, (0, 0), (0, 8999), OCTILE, terrain=walled)
+    assert (solution.cost, solution.iterations) == (-1.0, 5)
+
+
+def test_whole_costs_have_no_bound() -> None:
+    """With 4 moves, and with diagonals of 1."""
+    for movement in (Movement(), Movement(8, diagonal_cost=1)):
+        solution = astar(FREE_STRIP, (0, 0), (0, 8999), movement, terrain=STRIP)
+        assert solution.cost == 255.0 * 8999
+        field = distance_field(FREE_STRIP, (0, 0), movement, terrain=STRIP)
+        assert field[0, 8999] == np.float32(255 * 8999)
+
+
+def test_costs_up_to_the_dearest_move_behind_the_bound_are_ordered() -> None:
+    """What `test_costs_order_all_paths_exactly` shows below the bound holds for the costs that a
+    search compares before it refuses a map: up to 722 above the bound.
+    """
+    for diagonal in range(isqrt(MAX_PATH_COST**2 // 2), isqrt((MAX_PATH_COST + 722) ** 2 // 2) + 2):
+        whole_part = isqrt(2 * diagonal * diagonal)
+        assert whole_part * UNIT < diagonal * DIAGONAL < (whole_part + 1) * UNIT
+    assert 2 * 255 * sqrt(2) < 722
+
+
+# --- arguments ----------------------------------------------------------------------------------
+
+BAD_TERRAIN: list[tuple[Any, str]] = [
+    ([[1, 1]], "terrain: got shape (1, 2), expected (2, 2), that of the grid"),
+    ([[1.0, 1.0], [1.0, 0.0]], "terrain: got dtype float64, expected integers from 0 to 255"),
+    ([[1, 1], [-1, 0]], "terrain: got the value -1, expected integers from 0 to 255"),
+    ([[1, 1], [256, 0]], "terrain: got the value 256, expected integers from 0 to 255"),
+    ([[1, 1], [1, 1]], "terrain: got 1 at (1, 1), which is occupied in the grid"),
+    ([[1, 0], [1, 0]], "terrain: got 0 at (0, 1), which is free in the grid"),
+    ([[1], [1, 0]], "terrain: "),
+]
+
+
+@pytest.mark.parametrize(("terrain", "message"), BAD_TERRAIN)
+def test_terrain_that_does_not_fit_the_grid_is_refused(terrain: Any, message: str) -> None:
+    """By every function that takes it."""
+    grid = [[0, 0], [0, 1]]
+    calls: list[Callable[[], object]] = [
+        lambda: astar(grid, (0, 0), (1, 0), terrain=terrain),
+        lambda: bfs(grid, (0, 0), (1, 0), terrain=terrain),
+        lambda: distance_field(grid, (0, 0), terrain=terrain),
+        lambda: check_path(grid, [(0, 0), (1, 0)], terrain=terrain),
+    ]
+    for call in calls:
+        with pytest.raises(ValueError, match=re.escape(message)):
+            call()
+
+
+def test_ends_on_occupied_cells_of_terrain_are_refused() -> None:
+    """Like those on grids."""
+    grid = np.array([[0, 1]])
+    with pytest.raises(ValueError, match=r"goal: \(0, 1\) is on an occupied cell"):
+        astar(grid, (0, 0), (0, 1), terrain=1 - grid)
+    with pytest.raises(ValueError, match=r"goal: \(0, 1\) is on an occupied cell"):
+        distance_field(grid, (0, 1), terrain=1 - grid)
+    with pytest.raises(ValueError, match=r"problem 1: start: \(0, 1\) is on an occupied cell"):
+        search_batch("astar", grid, [(0, 0), (0, 1)], [(0, 0), (0, 0)], terrain=1 - grid)
+    with pytest.raises(ValueError, match=r"start: \(7, 1\) is outside"):
+        search_batch("astar", grid, [(7, 1)], [(0, 0)], terrain=1 - grid)
+
+
+def test_a_grid_with_other_numbers_is_refused_with_terrain() -> None:
+    """The message is about the grid."""
+    with pytest.raises(ValueError, match="grid: got the value 7"):
+        astar(np.array([[0, 7]], np.uint8), (0, 0), (0, 0), terrain=[[1, 0]])
+
+
+# --- the radius of a robot ----------------------------------------------------------------------
+
+
+def test_terrain_is_inflated_like_its_grid() -> None:
+    """Cells within the radius become 0, and the heuristic takes the smallest cost of the rest."""
+    terrain = np.full((7, 9), 6, np.uint8)
+    terrain[0, 0] = 1
+    terrain[3, 4] = 0
+    inflated = inflate_terrain(terrain, 1.5)
+    np.testing.assert_array_equal(inflated == 0, inflate(terrain == 0, 1.5))
+    assert set(inflated[inflated > 0].tolist()) == {6}
+    solution = astar(inflated == 0, (1, 1), (1, 7), OCTILE, terrain=inflated)
+    expected = reference.reference_astar(
+        (inflated == 0).tolist(), (1, 1), (1, 7), OCTILE, inflated.tolist()
+    )
+    assert solution[1:] == expected[1:]
+
+
+def test_the_smallest_cost_is_that_of_the_searched_map() -> None:
+    """A cheap cell far away from the path leaves more cells to expand."""
+    terrain = np.full((30, 30), 9, np.uint8)
+    iterations = astar(terrain == 0, (5, 5), (20, 9), OCTILE, terrain=terrain).iterations
+    terrain[29, 0] = 1
+    assert astar(terrain == 0, (5, 5), (20, 9), OCTILE, terrain=terrain).iterations > iterations
+
+
+# --- hardness -----------------------------------------------------------------------------------
+
+
+@movements
+@settings(max_examples=60)
+@given(problem=problems())
+def test_hardness_on_terrain_is_the_cost_over_the_heuristic(
+    movement: Movement, problem: Problem
+) -> None:
+    """It is the quotient of the reference's costs, and at least 1."""
+    terrain, start, goal = problem
+    solution = astar(problem.grid, start, goal, movement, terrain=terrain)
+    if solution.cost <= 0:
+        return
+    min_cost = int(terrain[terrain > 0].min())
+    ratio = hardness(
+        np.array([solution.cost]), np.array([start]), np.array([goal]), movement, min_cost
+    )
+    lower_bound = reference.heuristic(start, goal, movement, 2 * min_cost)
+    assert ratio[0] == solution.cost / reference.as_float(lower_bound, movement, terrain.tolist())
+    assert ratio[0] >= 1
+
+
+@movements
+def test_hardness_is_exactly_one_where_the_path_costs_what_the_heuristic_says(
+    movement: Movement,
+) -> None:
+    """Not 1 - 1e-16, whatever the smallest cost."""
+    goals = np.argwhere(np.ones((9, 40)))[1:]
+    starts = np.zeros_like(goals)
+    for value in (1, 3, 7, 10, 77, 255):
+        terrain = np.full((9, 40), value, np.uint8)
+        costs = search_batch("astar", terrain == 0, starts, goals, movement, terrain=terrain).cost
+        assert (hardness(costs, starts, goals, movement, value) == 1).all()
+
+
+# --- labels -------------------------------------------------------------------------------------
+
+
+def labelled_maps(movement: Movement) -> tuple[Maps, Bytes]:
+    """Return maps with a handful of rooms, and terrain for them."""
+    spec = MapSpec(
+        map_size=(18, 23),
+        rooms=(2, 6),
+        room_rows=(2, 7),
+        room_columns=(2, 7),
+        passage_width=(1, 3),
+        skip_probability=0.4,
+        movement=movement,
+    )
+    maps = generate(spec, seed=4, indices=range(12))
+    costs = np.random.default_rng(8).choice([1, 2, 5, 30], (12, 18, 23)).astype(np.uint8)
+    return maps, np.where(maps.occupancy == 0, costs, 0).astype(np.uint8)
+
+
+@movements
+def test_labels_on_terrain_equal_the_reference(movement: Movement) -> None:
+    """Routes, iterations and connection matrices by A*; by BFS they are those without terrain."""
+    maps, terrain = labelled_maps(movement)
+    labels = label(maps, terrain=terrain)
+    without = label(maps)
+    for i in range(len(maps)):
+        grid = maps.occupancy[i].tolist()
+        seed_points = [tuple(cell) for cell in maps.seed_points[i, : maps.rooms[i]].tolist()]
+        search = partial(reference.reference_astar, terrain=terrain[i].tolist())
+        route = reference.reference_route(search, grid, seed_points, movement)
+        assert labels.iterations("astar", i).tolist() == [result.iterations for result in route]
+        for segment, result in zip(labels.route("astar", i), route, strict=True):
+            assert [tuple(cell) for cell in segment.tolist()] == result.path
+        matrix = reference.reference_matrix(search, grid, seed_points, movement)
+        np.testing.assert_array_equal(labels.matrix("astar", i), matrix)
+        np.testing.assert_array_equal(labels.matrix("bfs", i), without.matrix("bfs", i))
+    np.testing.assert_array_equal(labels.bfs.moves, without.bfs.moves)
+    np.testing.assert_array_equal(labels.reachable, without.reachable)
+
+
+@movements
+def test_labels_on_terrain_of_ones_are_those_without_terrain(movement: Movement) -> None:
+    """The same moves, iterations and matrices."""
+    maps, terrain = labelled_maps(movement)
+    labels = label(maps, terrain=(terrain > 0).astype(np.uint8))
+    without = label(maps)
+    np.testing.assert_array_equal(labels.astar.moves, without.astar.moves)
+    np.testing.assert_array_equal(labels.astar.offsets, without.astar.offsets)
+    np.testing.assert_array_equal(labels.astar.iterations, without.astar.iterations)
+    for i in range(len(maps)):
+        np.testing.assert_array_equal(labels.matrix("astar", i), without.matrix("astar", i))
+
+
+def test_labels_refuse_terrain_that_does_not_fit() -> None:
+    """Another number of maps, or a cell on which maps and terrain disagree."""
+    maps, terrain = labelled_maps(OCTILE)
+    with pytest.raises(ValueError, match="terrain: got 11 maps, expected 12"):
+        label(maps, terrain=terrain[1:])
+    with pytest.raises(ValueError, match=r"terrain: got 1 at \(0, "):
+        label(maps, terrain=np.ones_like(terrain))
+
+
+def test_labels_name_the_map_whose_costs_are_too_high() -> None:
+    """Its number is that of the map, not its place in the batch."""
+    maps = Maps.empty(OCTILE, (1, 4114), np.array([41, 57]), 2)
+    maps.rooms[:] = 2
+    maps.seed_points[:] = [[[0, 0], [0, 1]], [[0, 0], [0, 4113]]]
+    terrain = np.full((2, 1, 4114), 255, np.uint8)
+    terrain[0, 0, 1000] = 0  # so that no cost of map 41 is high
+    maps.packed[:] = pack((terrain == 0).astype(np.uint8))
+    with pytest.raises(ValueError, match="map 57: terrain: a path costs 1,048,815"):
+        label(maps, terrain=terrain)
