@@ -345,6 +345,11 @@ class Waypoints:
         if not self.fill and is_refused.any():
             refused = int(np.argmax(is_refused))
             problem = f"waypoints: problem {batch.problems[refused]}"
+            if bends[refused] == NOT_FREE and batch.radius == 0:
+                raise ValueError(
+                    f"{problem} has a stored path through occupied cells, expected an undamaged "
+                    "dataset: 'mapdata verify' checks it"
+                )
             if bends[refused] == NOT_FREE:
                 raise ValueError(
                     f"{problem} has no free line for a radius of {batch.radius:g} cells, expected "

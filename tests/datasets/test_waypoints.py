@@ -22,6 +22,8 @@ from mapdata import (
     Waypoints,
     pull_taut,
 )
+from mapdata.datasets import Batch
+from mapdata.datasets.fields import Paths, Rooms
 
 RADIUS = 0.09
 """Metres; cells of 0.1 m beside obstacles are left out."""
@@ -181,6 +183,30 @@ def test_a_robot_that_cuts_corners_may_have_no_free_line() -> None:
     batch = OnlineMapDataset("cave", fields=(Waypoints(fill=True),), **options)[:]
     is_filled = (batch.waypoints == -1).all(dim=(1, 2))
     assert 0 < is_filled.sum() < 40
+
+
+def test_a_path_through_a_wall_is_named() -> None:
+    """As damaged data may have it, although its hashes fit."""
+
+    def no_rooms() -> Rooms:
+        raise AssertionError("no field needs the rooms")
+
+    wall = np.array([[[0, 1, 0]]], np.uint8)
+    path = np.array([(0, 0), (0, 1), (0, 2)])
+    batch = Batch(
+        movement=Movement(8),
+        search="astar",
+        grids=wall,
+        starts=path[:1],
+        goals=path[2:],
+        problems=np.array([17]),
+        compute_rooms=no_rooms,
+        requested_fields=("waypoints",),
+        compute_paths=lambda: Paths(path, np.array([0, 3]), np.array([3])),
+    )
+    with pytest.raises(ValueError, match="problem 17 has a stored path through occupied cells"):
+        Waypoints()(batch)
+    assert (Waypoints(fill=True)(batch) == -1).all()
 
 
 @pytest.mark.parametrize(
