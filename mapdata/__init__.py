@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from mapdata.datasets import MapDataModule as MapDataModule
     from mapdata.datasets import MapDataset as MapDataset
     from mapdata.datasets import OnlineMapDataset as OnlineMapDataset
+    from mapdata.datasets import ProblemSetDataset as ProblemSetDataset
     from mapdata.datasets import Sample as Sample
     from mapdata.datasets import Waypoints as Waypoints
     from mapdata.evaluation import Plan as Plan
@@ -56,7 +57,14 @@ if TYPE_CHECKING:
     from mapdata.shards import verify as verify
 
 _FACES = {
-    "datasets": ("MapDataModule", "MapDataset", "OnlineMapDataset", "Sample", "Waypoints"),
+    "datasets": (
+        "MapDataModule",
+        "MapDataset",
+        "OnlineMapDataset",
+        "ProblemSetDataset",
+        "Sample",
+        "Waypoints",
+    ),
     "evaluation": ("Plan", "evaluate"),
     "generators": (
         "PRESETS",

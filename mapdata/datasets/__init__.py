@@ -12,6 +12,7 @@ from mapdata.datasets.dataset import MapDataset
 from mapdata.datasets.fields import FIELDS, Batch, Waypoints
 from mapdata.datasets.info import DatasetInfo, FieldInfo
 from mapdata.datasets.online import OnlineMapDataset
+from mapdata.datasets.problem_set_dataset import ProblemSetDataset
 from mapdata.datasets.sample import Sample, row
 from mapdata.datasets.sampler import EpochSampler, LateLoader
 from mapdata.datasets.text import maze_text
@@ -29,6 +30,7 @@ __all__ = [
     "MapDataModule",
     "MapDataset",
     "OnlineMapDataset",
+    "ProblemSetDataset",
     "Sample",
     "Waypoints",
     "maze_text",

@@ -110,7 +110,7 @@ def keep_freed_memory() -> None:
 
 
 class ProblemDataset(Dataset[Sample], ABC):
-    """Indexing, fields, epochs and symmetries: the part that both datasets share.
+    """Indexing, fields, epochs and symmetries: the part that all datasets share.
 
     ``dataset[i]`` is a `Sample`; ``dataset[2:9]`` and ``dataset[[4, 1]]`` are batches; a DataLoader
     gets whole batches that are computed at once. With a ``transform``, ``dataset[i]`` is what it
@@ -282,7 +282,16 @@ class ProblemDataset(Dataset[Sample], ABC):
         sample: Sample = sample_class(names, self.serving.max_length)(*tensors)
         return sample
 
-    # In what follows, map p is the p-th map of the split, and problem i is first sampled on map i.
+    @abstractmethod
+    def _problems(self, indices: Ints, epoch: int) -> Batch:
+        """Return problems ``indices`` of an epoch, before any symmetry."""
+
+
+class SampledProblemDataset(ProblemDataset):
+    """Random problems on the maps of a split: what `MapDataset` and `OnlineMapDataset` share.
+
+    Map p is the p-th map of the split, and problem i is first sampled on map i.
+    """
 
     @abstractmethod
     def _grids(self, map_numbers: Ints) -> Bytes:
@@ -405,7 +414,7 @@ class ProblemDataset(Dataset[Sample], ABC):
         )
 
 
-class MapDataset(ProblemDataset):
+class MapDataset(SampledProblemDataset):
     """The problems of one or more built datasets, as torch samples.
 
     Args:

@@ -30,15 +30,20 @@ class DatasetInfo:
     """Where the maps of a dataset come from, their counts, and what a sample holds.
 
     Attributes:
-        roots: folders and URLs of the dataset; none for maps made online.
-        recipes: generator, seed and number of maps of each root; None for imported maps, and for
-            maps of a family that is not registered.
-        identities: identity of generator and seed of each root; None for imported maps.
-        content_hashes: hash of the maps of each root; None for maps made online.
-        map_counts: number of maps by split, of the splits that are served.
-        problem_counts: number of problems by split, after filters and radius.
+        roots: folders and URLs of the dataset; none for maps made online and for a `ProblemSet`.
+        recipes: generator, seed and number of maps of each root; None for imported maps, for maps
+            of a family that is not registered, and for a `ProblemSet`.
+        identities: identity of generator and seed of each root; None for imported maps and for a
+            `ProblemSet`.
+        content_hashes: hash of the maps of each root, or of the problems of a `ProblemSet`; None
+            for maps made online.
+        map_counts: number of maps by split, of the splits that are served. A `ProblemSet` has no
+            splits: the number of its different maps is that of "all".
+        problem_counts: number of problems by split, after filters and radius; in "all" those of a
+            `ProblemSet`.
         map_size: (rows, columns).
-        resolution: metres per cell; None for roots of several resolutions.
+        resolution: metres per cell; None for roots of several resolutions, and for a `ProblemSet`,
+            which does not know it.
         movement: movement of the served paths.
         fields: shape and dtype of each served field; None for a dataset without problems.
     """

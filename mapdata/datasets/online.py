@@ -10,7 +10,7 @@ import torch
 from mapdata.arrays import Bytes, Ints
 from mapdata.checks import check_count
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving, Transform
-from mapdata.datasets.dataset import ProblemDataset, SampledProblems
+from mapdata.datasets.dataset import SampledProblemDataset, SampledProblems
 from mapdata.datasets.fields import Paths
 from mapdata.datasets.info import DatasetInfo, field_infos
 from mapdata.generators.generator import identity
@@ -26,7 +26,7 @@ from mapdata.search.footprint import inflate_all, min_squared_clearance
 from mapdata.search.lattice import move_rule
 
 
-class OnlineMapDataset(ProblemDataset):
+class OnlineMapDataset(SampledProblemDataset):
     """Maps that are generated and solved on the fly: one problem a map, without a disk.
 
     The maps are those that shards of the same spec and seed hold.

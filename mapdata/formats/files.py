@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mapdata.arrays import Array, Bytes, Ints
+from mapdata.checks import check_count
 from mapdata.formats.collection import Collection
 from mapdata.limits import SPLITS
 from mapdata.npy import MAX_BYTES, FormatError, StoredArray, refusing
@@ -256,6 +258,15 @@ def read_grids(array: StoredArray, threshold: float | None = None) -> Iterator[B
     for number, entry in enumerate(array.entries()):
         grid = to_occupancy(entry, f"{array.label}: map {number}", threshold)
         yield grid.reshape(grid.shape[-2:])
+
+
+def sampling_step(total: int, count: int) -> int:
+    """Return the smallest k such that every k-th of ``total`` problems are at most ``count``.
+
+    Raises:
+        ValueError: ``count`` is not at least 1.
+    """
+    return math.ceil(total / check_count("count", count))
 
 
 def joint_name(name: str, numbers: list[int]) -> str:

@@ -28,7 +28,6 @@ from typing import NamedTuple
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
-from mapdata.checks import check_count
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
@@ -36,6 +35,7 @@ from mapdata.formats.files import (
     files_with_endings,
     maps_to_write,
     read_text,
+    sampling_step,
     split_from_folders,
 )
 from mapdata.formats.registry import Format
@@ -296,7 +296,7 @@ def check_scen(
     in_file = len(selected)
     are_zero = all(float(problem.length) == 0 for problem in selected)
     if count is not None:
-        selected = selected[:: _step(in_file, count)]
+        selected = selected[:: sampling_step(in_file, count)]
     terrains: dict[str, Bytes] = {}
     # Problems on the same terrain of the same map are solved together.
     groups: dict[tuple[str, str], list[Problem]] = {}
@@ -341,15 +341,6 @@ def _check_lengths(batch: list[Problem], grid: Bytes, path: Path, report: ScenRe
                 f"{path}: line {problem.line}: {problem.start} to {problem.goal}: "
                 f"says {problem.length}, found {our_length}"
             )
-
-
-def _step(total: int, count: int) -> int:
-    """Return the smallest k such that every k-th of ``total`` problems are at most ``count``.
-
-    Raises:
-        ValueError: ``count`` is not at least 1.
-    """
-    return math.ceil(total / check_count("count", count))
 
 
 def problems(
@@ -398,7 +389,7 @@ def _description(source: Path, report: ScenReport, count: int | None) -> str:
     text = f"{solved} problems of {source}"
     if solved != report.in_file:
         text = f"{solved} of {report.in_file} problems of {source}"
-    step = 1 if count is None else _step(report.in_file, count)
+    step = 1 if count is None else sampling_step(report.in_file, count)
     if step > 1:
         text += f", one in {step}"
     left_out = report.total - solved

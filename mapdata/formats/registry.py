@@ -30,8 +30,8 @@ class Format:
             written.
         write: called with a target, a `Root` and whether to show a progress bar, returns notes for
             the user; None if it can only be read.
-        problems: called with a path and `Limits`, returns the `ProblemSet` of a file; None if
-            it has none.
+        problems: called with a path and `Limits`, returns the `ProblemSet` of a file or folder;
+            None if it has none.
         recognises: called with a path with one of the endings; returns whether the file is of this
             format.
         companion_endings: endings of files that belong to this format where they lie in the folder
@@ -147,14 +147,16 @@ def read_any(
 
 
 def read_problems(source: StrPath, limits: Limits = LIMITS, **options: object) -> ProblemSet:
-    """Read the problems of a file, to compare planners on.
+    """Read the problems of a file or folder, to compare planners on or to train on.
 
-    That is a MovingAI .scen, an .npz of planning-datasets, or one that `ProblemSet.save` wrote.
+    That is a MovingAI .scen, an .npz of planning-datasets, a folder of TransPath, or an .npz that
+    `ProblemSet.save` wrote. `mapdata.ProblemSetDataset` serves them as torch samples.
 
     Args:
-        source: the file.
+        source: the file or folder.
         limits: of what is read, and whether a progress bar shows it.
-        options: those of the format's ``problems``, such as ``count``.
+        options: those of the format's ``problems``: ``count`` and ``maps`` of a .scen, ``seed`` of
+            planning-datasets, ``split`` and ``count`` of TransPath.
 
     Raises:
         ValueError: no such file, no problems in it, or bad ones; the message names the file.

@@ -1,4 +1,4 @@
-"""The samples of TransPath: folders train, val and test of .npy files, of which the maps are read.
+"""The samples of TransPath: folders train, val and test of .npy files, read as maps or problems.
 
 Source: https://github.com/AIRI-Institute/TransPath (data/hmaps.py, eval.py).
 
@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -31,12 +31,15 @@ from mapdata.formats.files import (
     files_below,
     joint_name,
     read_grids,
+    sampling_step,
     split_from_folders,
 )
 from mapdata.formats.registry import Format
-from mapdata.limits import Cell
+from mapdata.limits import SPLITS, Cell
 from mapdata.movement import Movement
 from mapdata.npy import FormatError, StoredArray, open_npy
+from mapdata.problems.problem_set import ProblemSet
+from mapdata.search.api import search_batch
 from mapdata.shards.workers import Advance, bar
 
 MOVEMENT = Movement(8, corner_cutting=True)
@@ -168,4 +171,97 @@ def _marked_free_cell(mask: Array, grid: Bytes) -> Cell | None:
     return row, column
 
 
-FORMAT = Format("transpath", (".npy",), read, recognises=is_transpath)
+def problems(
+    source: Path,
+    limits: Limits = LIMITS,
+    *,
+    split: Literal["train", "val", "test"] = "test",
+    count: int | None = None,
+) -> ProblemSet:
+    """Return the problems of a folder of samples, to compare planners on or to train on.
+
+    Args:
+        source: folder with a folder of the split; a folder of samples itself, or its file
+            ``maps.npy``, whatever its name.
+        limits: of what is read, and whether a progress bar shows it.
+        split: the split to read, where there are several folders of samples.
+        count: maximal number of problems, evenly spread over the folder; default all.
+
+    Raises:
+        FormatError: no folder of samples of this split, or several; files that `read` refuses; a
+            sample whose start or goal is not one free cell, or without a path between two cells.
+            The message has the number of the sample.
+    """
+    folder = _open(_maps_path(source, limits, split), limits)
+    total, _, rows, columns = folder.maps.shape
+    numbers = range(0, total, 1 if count is None else sampling_step(total, count))
+    grids = np.empty((len(numbers), rows, columns), np.uint8)
+    starts = np.empty((len(numbers), 2), np.int64)
+    goals = np.empty((len(numbers), 2), np.int64)
+    entries = zip(
+        read_grids(folder.maps), folder.starts.entries(), folder.goals.entries(), strict=True
+    )
+    with bar(limits.progress, total, unit=" samples read") as advance:
+        for number, (grid, start_mask, goal_mask) in enumerate(entries):
+            advance(1)
+            if number not in numbers:
+                continue
+            start = _marked_free_cell(start_mask[0], grid)
+            goal = _marked_free_cell(goal_mask[0], grid)
+            if start is None:
+                raise _bad_sample(folder, number, "its start is not one free cell")
+            if goal is None:
+                raise _bad_sample(folder, number, "its goal is not one free cell")
+            if start == goal:
+                raise _bad_sample(folder, number, "its start is its goal")
+            problem = numbers.index(number)
+            grids[problem] = grid
+            starts[problem] = start
+            goals[problem] = goal
+    name = folder.maps_path.parent
+    description = f"{len(numbers)} problems of {name}"
+    if len(numbers) < total:
+        description = f"{len(numbers)} of {total} problems of {name}, one in {numbers.step}"
+    try:
+        return ProblemSet(grids, starts, goals, MOVEMENT, description)
+    except ValueError:
+        # All else was checked above, so a problem has no path. The search is repeated only here.
+        costs = search_batch("astar", grids, starts, goals, MOVEMENT).cost
+        number = numbers[int(np.argmin(costs))]
+        raise _bad_sample(folder, number, "no path leads from its start to its goal") from None
+
+
+def _bad_sample(folder: _SampleFolder, number: int, fault: str) -> FormatError:
+    """Return the error for a sample that is no problem."""
+    return FormatError(
+        f"{folder.maps_path}: sample {number}: {fault}; remove the sample from all files"
+    )
+
+
+def _maps_path(source: Path, limits: Limits, split: str) -> Path:
+    """Return the file ``maps.npy`` of the only folder of samples, or of that of a split.
+
+    Raises:
+        FormatError: there is no such folder below ``source``, or several.
+    """
+    if source.is_file():
+        return source
+    if (source / _MAPS).is_file():
+        return source / _MAPS
+    code = SPLITS.index(split)
+    paths = [
+        path
+        for path in files_below(source, (_MAPS,), limits, Collection())
+        if path.name == _MAPS and is_transpath(path)
+    ]
+    paths_of_split = [path for path in paths if split_from_folders(path, source) == code]
+    if len(paths_of_split) == 1:
+        return paths_of_split[0]
+    names = ", ".join(str(path.parent.relative_to(source)) for path in paths)
+    raise FormatError(
+        f"{source}: holds {len(paths_of_split)} folders of samples of the split {split!r} among "
+        f"{names}; expected one, or name a single folder"
+    )
+
+
+FORMAT = Format("transpath", (".npy",), read, problems=problems, recognises=is_transpath)

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -104,6 +104,21 @@ class ProblemSet:
         """Return N, the number of problems."""
         return len(self.starts)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the attributes that are pickled: a grid that all problems share is pickled once.
+
+        The solutions are among them, so that another process does not search again.
+        """
+        return {**vars(self), "grids": _without_repeats(self.grids)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take over the pickled attributes, again as arrays that cannot be written to."""
+        vars(self).update(state)
+        shape = (len(self), *self.grids.shape[-2:])
+        object.__setattr__(self, "grids", np.broadcast_to(self.grids, shape))
+        for name in ("starts", "goals"):
+            getattr(self, name).setflags(write=False)
+
     @cached_property
     def optimal(self) -> BatchResult:
         """The answers of mapdata's A*: the optimal costs, and the expansions to compare with."""
@@ -119,6 +134,12 @@ class ProblemSet:
     def hard(self) -> Flags:
         """(N,) bool: the hardness is at least ``HARD``."""
         return self.hardness >= HARD
+
+    @cached_property
+    def map_count(self) -> int:
+        """Number of different maps among the grids."""
+        grids = _without_repeats(self.grids).reshape(-1, *self.grids.shape[1:])
+        return len({hashlib.sha256(grid).digest() for grid in grids})
 
     @cached_property
     def content_hash(self) -> str:

@@ -1,16 +1,18 @@
-"""TransPath's folders of .npy files: its maps are read, and nothing else is taken for one."""
+"""TransPath's folders of .npy files: maps and problems are read, nothing else is taken for one."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from helpers.grids import scipy_distances
 from helpers.wild import cli
 
-from mapdata import read_shard
+from mapdata import ProblemSetDataset, read_shard
 from mapdata.arrays import Array, Bytes
-from mapdata.formats import FormatError, Limits, read_any, recognise
+from mapdata.formats import FormatError, Limits, read_any, read_problems, recognise
 from mapdata.formats.transpath import read
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
@@ -168,3 +170,116 @@ def test_limits_of_cells_and_maps_hold(
         read(path, Limits(pixels=100))
     with pytest.raises(FormatError, match="has 7 maps, expected at most 6"):
         read(path, Limits(maps=6))
+
+
+MOVEMENT = Movement(8, corner_cutting=True)
+
+
+def write_problems(folder: Path, count: int, seed: int) -> tuple[Bytes, Array, Array]:
+    """Write samples with a path from start to goal; return grids, starts and goals."""
+    random = np.random.default_rng(seed)
+    grids = np.empty((count, 12, 12), np.uint8)
+    starts = np.empty((count, 2), np.int64)
+    goals = np.empty((count, 2), np.int64)
+    number = 0
+    while number < count:
+        grid = (random.random((12, 12)) < 0.4).astype(np.uint8)
+        start, goal = random.choice(np.argwhere(grid == 0), 2, replace=False)
+        (distances,) = scipy_distances(grid, [(int(goal[0]), int(goal[1]))], MOVEMENT)
+        if distances[tuple(start)] > 0:
+            grids[number], starts[number], goals[number] = grid, start, goal
+            number += 1
+    write_samples(folder, grids, starts, goals)
+    return grids, starts, goals
+
+
+def test_problems_of_the_test_split_are_read(tmp_path: Path) -> None:
+    """Or those of another split; their costs are scipy's, and a dataset serves them."""
+    folder = tmp_path / "TransPath_data"
+    written = {
+        split: write_problems(folder / split, count, count) for split, count in SAMPLES.items()
+    }
+    options: dict[str, dict[str, Any]] = {"test": {}, "train": {"split": "train"}}
+    for split, split_options in options.items():
+        grids, starts, goals = written[split]
+        problems = read_problems(folder, **split_options)
+        assert np.array_equal(problems.grids, grids)
+        assert np.array_equal(problems.starts, starts)
+        assert np.array_equal(problems.goals, goals)
+        assert problems.movement == MOVEMENT
+        assert problems.description == f"{len(grids)} problems of {folder / split}"
+        batch = ProblemSetDataset(problems, ("start_mask", "goal_mask", "cost_to_go", "cost"))[:]
+        assert np.array_equal(batch.start_mask, np.load(folder / split / "starts.npy"))
+        assert np.array_equal(batch.goal_mask, np.load(folder / split / "goals.npy"))
+        for k, (grid, goal) in enumerate(zip(grids, goals, strict=True)):
+            (distances,) = scipy_distances(grid, [(int(goal[0]), int(goal[1]))], MOVEMENT)
+            np.testing.assert_allclose(batch.cost_to_go[k, 0], distances, rtol=1e-6)
+            assert float(batch.cost[k]) == pytest.approx(distances[tuple(starts[k])], rel=1e-6)
+    for source in (folder / "val", folder / "val" / "maps.npy"):
+        assert np.array_equal(read_problems(source).grids, written["val"][0])
+
+
+def test_a_count_spreads_problems_over_the_folder(tmp_path: Path) -> None:
+    """Every third of seven samples is read where three are wanted."""
+    _, starts, _ = write_problems(tmp_path / "test", 7, seed=7)
+    problems = read_problems(tmp_path, count=3)
+    assert np.array_equal(problems.starts, starts[::3])
+    assert problems.description == f"3 of 7 problems of {tmp_path / 'test'}, one in 3"
+    with pytest.raises(ValueError, match="count: got 0"):
+        read_problems(tmp_path, count=0)
+    with pytest.raises(ValueError, match="split: got 'tset'"):
+        read_problems(tmp_path, split="tset")
+
+
+def test_problems_need_one_folder_of_the_split(tmp_path: Path) -> None:
+    """The message lists the folders that there are."""
+    write_problems(tmp_path / "train", 2, seed=1)
+    write_problems(tmp_path / "val", 2, seed=2)
+    with pytest.raises(FormatError, match=r"holds 0 folders .* split 'test' among train, val; exp"):
+        read_problems(tmp_path)
+    write_problems(tmp_path / "a" / "test", 2, seed=3)
+    write_problems(tmp_path / "b" / "test", 2, seed=4)
+    with pytest.raises(FormatError, match="holds 2 folders of samples of the split 'test'"):
+        read_problems(tmp_path)
+    assert len(read_problems(tmp_path, split="val")) == 2
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("no start", "sample 3: its start is not one free cell; remove the sample"),
+        ("two goals", "sample 3: its goal is not one free cell"),
+        ("half a goal", "sample 3: its goal is not one free cell"),
+        ("occupied start", "sample 3: its start is not one free cell"),
+        ("start at the goal", "sample 3: its start is its goal"),
+        ("no path", "sample 3: no path leads from its start to its goal"),
+    ],
+)
+def test_a_bad_sample_is_refused_by_its_number(fault: str, message: str, tmp_path: Path) -> None:
+    """With or without a count; samples that a count leaves out are not looked at."""
+    folder = tmp_path / "test"
+    write_problems(folder, 6, seed=6)
+    maps = np.load(folder / "maps.npy")
+    starts = np.load(folder / "starts.npy").astype(np.float64)
+    goals = np.load(folder / "goals.npy").astype(np.float64)
+    if fault == "no start":
+        starts[3] = 0
+    elif fault == "two goals":
+        goals[3, 0, [0, 1], 0] = 1
+    elif fault == "half a goal":
+        goals[3] /= 2
+    elif fault == "occupied start":
+        maps[3] = starts[3]
+    elif fault == "start at the goal":
+        starts[3] = goals[3]
+    else:
+        starts[3] = goals[3] = maps[3] = 0
+        starts[3, 0, 0, 0] = goals[3, 0, 11, 11] = 1
+        maps[3, 0, 6] = 1
+    for name, array in (("maps", maps), ("starts", starts), ("goals", goals)):
+        np.save(folder / f"{name}.npy", array)
+    refused: list[dict[str, Any]] = [{}, {"count": 2}]  # the samples 0 to 5, or 0 and 3
+    for options in refused:
+        with pytest.raises(FormatError, match=rf"{tmp_path}/test/maps\.npy: {message}"):
+            read_problems(tmp_path, **options)
+    assert len(read_problems(tmp_path, count=3)) == 3  # the samples 0, 2 and 4

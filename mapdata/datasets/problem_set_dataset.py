@@ -1,0 +1,146 @@
+"""`ProblemSetDataset`: the problems of a `ProblemSet` as torch samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from mapdata.arrays import Ints, offsets_of
+from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving, Transform
+from mapdata.datasets.dataset import ProblemDataset
+from mapdata.datasets.fields import Batch, Paths, Rooms, room_matrices
+from mapdata.datasets.info import DatasetInfo, field_infos
+from mapdata.problems.problem_set import ProblemSet
+
+
+class ProblemSetDataset(ProblemDataset):
+    """The problems of a `ProblemSet`, as torch samples: sample i is problem i.
+
+    It trains and validates on problems that come with their own starts and goals: those of a
+    MovingAI .scen, of planning-datasets or TransPath, which `mapdata.formats.read_problems` reads,
+    or those of a saved set.
+
+    The fields are those of `MapDataset`. Its rooms are the start and the goal alone:
+    ``seed_points`` has these two cells, in this order, and ``connection_matrix`` the costs between
+    them. The movement is that of the set. All epochs serve the same problems; ``augment`` draws
+    their symmetries anew in each.
+
+    A grid that all problems of the set share is in memory once, in each loader worker, too.
+
+    Args:
+        problem_set: the problems.
+        fields: as in `MapDataset`, like all further arguments. With ``search="astar"`` the paths
+            are those that the set has found already; with "bfs" they are searched on the fly.
+
+    Raises:
+        ValueError: arguments that do not fit, or that would do nothing.
+
+    >>> from mapdata import Movement
+    >>> problem_set = ProblemSet.sample("dungeon", seed=77, maps=20, movement=Movement(8))
+    >>> dataset = ProblemSetDataset(problem_set, fields=("map", "goal", "cost"))
+    >>> len(dataset), tuple(dataset[:8].map.shape)
+    (20, (8, 1, 64, 64))
+    """
+
+    _opened = ()
+
+    def __init__(
+        self,
+        problem_set: ProblemSet,
+        fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
+        *,
+        search: str = "astar",
+        augment: bool = False,
+        sampling_seed: int = 0,
+        max_length: int | None = None,
+        dtype: torch.dtype | str | None = None,
+        transform: Transform | None = None,
+    ) -> None:
+        """Check and keep the arguments; the problems are not copied."""
+        if not isinstance(problem_set, ProblemSet):
+            raise ValueError(
+                f"problem_set: got {problem_set!r}, expected a ProblemSet; "
+                "mapdata.formats.read_problems(path) reads one from a file"
+            )
+        serving = Serving(
+            fields=fields,
+            search=search,
+            augment=augment,
+            sampling_seed=sampling_seed,
+            max_length=max_length,
+            dtype=dtype,
+            transform=transform,
+        )
+        super().__init__(None, serving)
+        self.problem_set = problem_set
+        self.movement = problem_set.movement
+        _, rows, columns = problem_set.grids.shape
+        self.map_size = (rows, columns)
+
+    def _open(self) -> None:
+        """Open nothing: the problems are in memory, and pickled with the dataset."""
+
+    def __len__(self) -> int:
+        """Return the number of problems."""
+        return len(self.problem_set)
+
+    def __repr__(self) -> str:
+        return (
+            f"ProblemSetDataset({self.problem_set.description!r}): {len(self)} problems, "
+            f"map_size={self.map_size}, movement={self.movement}"
+        )
+
+    @property
+    def info(self) -> DatasetInfo:
+        """The number of maps and problems, and what a sample holds.
+
+        The shapes of the fields are those of the first sample, which is loaded for it.
+        """
+        return DatasetInfo(
+            roots=(),
+            recipes=(None,),
+            identities=(None,),
+            content_hashes=(self.problem_set.content_hash,),
+            map_counts={"all": self.problem_set.map_count},
+            problem_counts={"all": len(self)},
+            map_size=self.map_size,
+            resolution=None,
+            movement=self.movement,
+            fields=field_infos(self._load(np.array([0]), 0)) if len(self) else None,
+        )
+
+    def _problems(self, indices: Ints, epoch: int) -> Batch:
+        del epoch  # the problems are the same in all epochs
+        search = self.serving.search
+        grids = self.problem_set.grids[indices]  # a copy for this batch alone
+        starts = self.problem_set.starts[indices]
+        goals = self.problem_set.goals[indices]
+
+        def compute_rooms() -> Rooms:
+            seed_points = np.stack((starts, goals), axis=1)
+            return Rooms(room_matrices(search, grids, seed_points, self.movement), seed_points)
+
+        return Batch(
+            movement=self.movement,
+            search=search,
+            grids=grids,
+            starts=starts,
+            goals=goals,
+            problems=indices,
+            compute_rooms=compute_rooms,
+            requested_fields=self._field_names,
+            max_length=self.serving.max_length,
+            compute_paths=(lambda: self._optimal_paths(indices)) if search == "astar" else None,
+        )
+
+    def _optimal_paths(self, indices: Ints) -> Paths:
+        """Return the paths of problems ``indices`` that A* has found for the whole set."""
+        optimal = self.problem_set.optimal
+        lengths = np.diff(optimal.offsets)[indices]
+        offsets = offsets_of(lengths)
+        # Path b moves from offsets[b] of the batch to optimal.offsets[indices[b]] of the set.
+        shifts = optimal.offsets[indices] - offsets[:-1]
+        positions = np.arange(offsets[-1]) + np.repeat(shifts, lengths)
+        return Paths(optimal.cells[positions], offsets, optimal.iterations[indices])
