@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from mapdata.datasets import OnlineMapDataset as OnlineMapDataset
     from mapdata.datasets import ProblemSetDataset as ProblemSetDataset
     from mapdata.datasets import Sample as Sample
+    from mapdata.datasets import Waypoints as Waypoints
     from mapdata.evaluation import Plan as Plan
     from mapdata.evaluation import evaluate as evaluate
     from mapdata.generators import PRESETS as PRESETS
@@ -44,7 +45,10 @@ if TYPE_CHECKING:
     from mapdata.search import inflate as inflate
     from mapdata.search import inflate_terrain as inflate_terrain
     from mapdata.search import label as label
+    from mapdata.search import lines_are_free as lines_are_free
+    from mapdata.search import pull_taut as pull_taut
     from mapdata.search import search_batch as search_batch
+    from mapdata.search import to_metres as to_metres
     from mapdata.shards import DatasetNotFoundError as DatasetNotFoundError
     from mapdata.shards import ShardError as ShardError
     from mapdata.shards import build as build
@@ -59,6 +63,7 @@ _FACES = {
         "OnlineMapDataset",
         "ProblemSetDataset",
         "Sample",
+        "Waypoints",
     ),
     "evaluation": ("Plan", "evaluate"),
     "generators": (
@@ -85,7 +90,10 @@ _FACES = {
         "inflate",
         "inflate_terrain",
         "label",
+        "lines_are_free",
+        "pull_taut",
         "search_batch",
+        "to_metres",
     ),
     "shards": ("DatasetNotFoundError", "ShardError", "build", "read_shard", "repair", "verify"),
     "movement": ("Movement",),

@@ -142,9 +142,9 @@ def test_without_a_cache_kernels_still_work(copy: Copy) -> None:
 @pytest.mark.slow
 def test_long_compiling_is_announced_by_module(copy: Copy) -> None:
     """One line for each module whose kernels take long, none when the cache has them."""
-    copy.edit("jit.py", "_PATIENCE = 0.5", "_PATIENCE = 1e6")
+    copy.edit("jit.py", "_SECONDS_BEFORE_MESSAGE = 0.5", "_SECONDS_BEFORE_MESSAGE = 1e6")
     assert copy.run(WORDS).stderr == ""
-    copy.edit("jit.py", "_PATIENCE = 1e6", "_PATIENCE = 0.0")
+    copy.edit("jit.py", "_SECONDS_BEFORE_MESSAGE = 1e6", "_SECONDS_BEFORE_MESSAGE = 0.0")
     code = "mapdata.generate(mapdata.MapSpec(), 0, [0])"
     assert copy.run(code).stderr.splitlines() == [
         f"compiling kernels for mapdata.generators.{module} (kept for later runs) ..."

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mapdata.datasets.dataset import MapDataset
-from mapdata.datasets.fields import FIELDS, Batch
+from mapdata.datasets.fields import FIELDS, Batch, Waypoints
 from mapdata.datasets.info import DatasetInfo, FieldInfo
 from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.problem_set_dataset import ProblemSetDataset
@@ -32,6 +32,7 @@ __all__ = [
     "OnlineMapDataset",
     "ProblemSetDataset",
     "Sample",
+    "Waypoints",
     "maze_text",
     "row",
 ]

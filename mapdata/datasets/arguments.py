@@ -17,7 +17,7 @@ from mapdata.checks import (
     did_you_mean,
     items_of,
 )
-from mapdata.datasets.fields import FIELDS
+from mapdata.datasets.fields import FIELDS, Waypoints
 from mapdata.datasets.sample import Sample
 from mapdata.datasets.transforms import check_transform
 from mapdata.limits import MAPS_AND_MASKS
@@ -26,8 +26,11 @@ from mapdata.problems.sources import Route, Source, plain_text
 from mapdata.search.api import SEARCHES
 from mapdata.search.footprint import min_squared_clearance
 
-FieldFunction = Callable[[Sample], Any]
-"""A field of the user: it takes the batch so far and returns an array or a tensor."""
+FieldFunction = Callable[[Sample], Any] | Waypoints
+"""A field without a name of `FIELDS`: a function of the user, or `Waypoints`.
+
+A function takes the batch so far and returns an array or a tensor.
+"""
 
 Transform = Callable[[Sample], Any]
 """A function of one sample, which is called after all else."""

@@ -580,10 +580,15 @@ class BatchReader:
 
     def grids(self, stored: StoredProblems) -> Bytes:
         """Return the maps of problems, (B, H, W), inflated by the radius of the robot."""
-        grids = np.empty((len(stored.shards), *self.map_size), np.uint8)
-        read_maps(self._addresses, stored.shards, stored.maps, grids)
+        grids = self.obstacles(stored)
         if self.min_clearance > 1:  # a smaller clearance occupies no cell: spare the compilation
             inflate_all(grids, self.min_clearance)
+        return grids
+
+    def obstacles(self, stored: StoredProblems) -> Bytes:
+        """Return the maps of problems, (B, H, W), that are not inflated."""
+        grids = np.empty((len(stored.shards), *self.map_size), np.uint8)
+        read_maps(self._addresses, stored.shards, stored.maps, grids)
         return grids
 
     def seed_points(self, stored: StoredProblems, rooms: Ints) -> Ints:

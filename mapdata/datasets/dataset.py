@@ -26,7 +26,16 @@ from mapdata.datasets.arguments import (
     torch_dtype,
 )
 from mapdata.datasets.batches import BatchReader, stored_counts
-from mapdata.datasets.fields import FIELDS, Batch, Field, Paths, Rooms, room_matrices
+from mapdata.datasets.fields import (
+    FIELDS,
+    Batch,
+    Field,
+    Paths,
+    Rooms,
+    Waypoints,
+    divided_lines,
+    room_matrices,
+)
 from mapdata.datasets.info import DatasetInfo, field_infos
 from mapdata.datasets.sample import Rows, Sample, cast, row, sample_class, stack
 from mapdata.generators.generator import UnknownFamily
@@ -69,6 +78,7 @@ CONDITIONS: dict[str, Field] = {
     "reachable": lambda batch: np.diff(batch.paths.offsets) > 0,
     "all_connected": lambda batch: (batch.rooms.matrix != -1).all(axis=(1, 2)),  # -2 is padding
     "hardness": FIELDS["hardness"],
+    "bends": lambda batch: divided_lines(batch, 2)[1],
 }
 """The quantity that each condition of `MapDataset.filter` limits, (B,) for a batch."""
 
@@ -262,8 +272,9 @@ class ProblemDataset(Dataset[Sample], ABC):
         """Return fields of a batch; a function gets the fields before it."""
         tensors: list[Tensor] = []
         for field in fields:
-            if isinstance(field, str):
-                array = np.ascontiguousarray(FIELDS[field](batch))
+            if isinstance(field, (str, Waypoints)):
+                compute = FIELDS[field] if isinstance(field, str) else field
+                array = np.ascontiguousarray(compute(batch))
                 tensors.append(torch.from_numpy(array))
             else:
                 batch_so_far = sample_class(names[: len(tensors)])(*tensors)
@@ -284,7 +295,18 @@ class SampledProblemDataset(ProblemDataset):
 
     @abstractmethod
     def _grids(self, map_numbers: Ints) -> Bytes:
-        """Return the grids of maps by their numbers in the split, (B, H, W)."""
+        """Return the grids of maps by their numbers in the split, (B, H, W).
+
+        They are inflated by the radius of the robot.
+        """
+
+    @abstractmethod
+    def _obstacles(self, map_numbers: Ints) -> Bytes:
+        """Return the grids of maps, (B, H, W), that are not inflated."""
+
+    @abstractmethod
+    def _radius_in_cells(self) -> float:
+        """Return the radius of the robot in cells."""
 
     @abstractmethod
     def _seed_points(self, map_numbers: Ints) -> Ints:
@@ -385,6 +407,10 @@ class SampledProblemDataset(ProblemDataset):
             compute_rooms=lambda: self._rooms(map_numbers, grids),
             requested_fields=self._field_names,
             max_length=self.serving.max_length,
+            radius=self._radius_in_cells(),
+            compute_obstacles=(
+                (lambda: self._obstacles(map_numbers)) if self.serving.radius else None
+            ),
         )
 
 
@@ -578,6 +604,7 @@ class MapDataset(SampledProblemDataset):
         reachable: bool | None = None,
         all_connected: bool | None = None,
         hardness: Band | None = None,
+        bends: Band | None = None,
     ) -> MapDataset:
         """Return a view on the stored problems that meet all conditions.
 
@@ -590,6 +617,8 @@ class MapDataset(SampledProblemDataset):
                 ``Route(unsolvable=True)``).
             all_connected: whether all rooms of the map are connected.
             hardness: optimal cost over heuristic.
+            bends: number of bends of the path's taut line (`mapdata.pull_taut`); up to T - 2 fit
+                into T waypoints.
 
         Raises:
             ValueError: random problems, which are not stored; no condition; a range that is not two
@@ -605,6 +634,7 @@ class MapDataset(SampledProblemDataset):
             "reachable": reachable,
             "all_connected": all_connected,
             "hardness": hardness,
+            "bends": bends,
         }
         conditions: dict[str, Any] = {}
         for name, condition in arguments.items():
@@ -674,6 +704,13 @@ class MapDataset(SampledProblemDataset):
     def _grids(self, map_numbers: Ints) -> Bytes:
         return self.reader.grids(self.reader.locate(map_numbers))
 
+    def _obstacles(self, map_numbers: Ints) -> Bytes:
+        return self.reader.obstacles(self.reader.locate(map_numbers))
+
+    def _radius_in_cells(self) -> float:
+        radius = self.serving.radius
+        return radius / self.reader.root.resolution if radius else 0.0
+
     def _stored_rooms(self, map_numbers: Ints) -> Rooms:
         """Return the rooms of maps as their shards hold them."""
         return self.reader.rooms(self.reader.locate(map_numbers), self.serving.search)
@@ -716,6 +753,9 @@ def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:
         seed_points = batch.rooms.seed_points
         return batch.rooms._replace(seed_points=transform(seed_points, seed_points.shape[1]))
 
+    def compute_obstacles() -> Bytes:
+        return transform_grids(batch.obstacles, codes)
+
     return replace(
         batch,
         grids=transform_grids(batch.grids, codes),
@@ -723,4 +763,5 @@ def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:
         goals=transform(batch.goals),
         compute_paths=compute_paths,
         compute_rooms=compute_rooms,
+        compute_obstacles=compute_obstacles if batch.compute_obstacles else None,
     )

@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from mapdata.arrays import Array, Bytes, Float32s, Floats, Ints, offsets_of, summary
+from mapdata.checks import check_count, check_flag
 from mapdata.datasets.field_kernels import (
     GoalFields,
     count_steps,
@@ -29,6 +30,7 @@ from mapdata.search.api import SEARCHES, solve_batch
 from mapdata.search.footprint import clearances
 from mapdata.search.lattice import UNIT, move_rule
 from mapdata.search.lattice import hardness as hardness_of
+from mapdata.search.taut import NOT_FREE, robot_of, write_waypoints
 
 
 class Paths(NamedTuple):
@@ -86,6 +88,9 @@ class Batch:
         requested_fields: names of the fields that will be computed from this batch.
         max_length: fixed number of rows of ``path``; None for a multiple of 16.
         compute_paths: returns the paths; None to search them.
+        radius: of the robot, in cells.
+        compute_obstacles: returns the maps before they were inflated by the radius, (B, H, W)
+            uint8; None without a radius.
     """
 
     movement: Movement
@@ -98,6 +103,8 @@ class Batch:
     requested_fields: tuple[str, ...]
     max_length: int | None = None
     compute_paths: Callable[[], Paths] | None = None
+    radius: float = 0.0
+    compute_obstacles: Callable[[], Bytes] | None = None
 
     __repr__ = summary
 
@@ -112,6 +119,11 @@ class Batch:
             search, self.grids, self.starts, self.goals, self.movement, allow_occupied_ends=True
         )
         return Paths(solved.cells, solved.offsets, solved.iterations)
+
+    @cached_property
+    def obstacles(self) -> Bytes:
+        """(B, H, W) uint8, the maps before they were inflated by the radius of the robot."""
+        return self.compute_obstacles() if self.compute_obstacles else self.grids
 
     @cached_property
     def rooms(self) -> Rooms:
@@ -294,6 +306,83 @@ def problem(batch: Batch) -> Ints:
     return batch.problems
 
 
+@dataclass(frozen=True)
+class Waypoints:
+    """The field ``waypoints``, with a number of points of your own.
+
+    It stands among the names in ``fields=``: ``fields=("map", "start", "goal", Waypoints(64))``.
+
+    The taut line of the served path (`mapdata.pull_taut`) is divided by ``count`` points. All its
+    bends are among them, and the largest gap is as small as possible. All segments between the
+    points are proved free for the radius of the robot.
+
+    Attributes:
+        count: T, the number of points, start and goal included; at least 2. A line of more than T -
+            2 bends does not fit. Above 130, short lines may hold a point twice.
+        fill: what a problem gets whose line does not fit, or is not free: False for an error that
+            names it, True for points of -1, as without a path. Lines that are not free occur only
+            for a robot with a radius whose movement cuts corners.
+    """
+
+    count: int = 32
+    fill: bool = False
+
+    __name__: ClassVar[str] = "waypoints"
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        object.__setattr__(self, "count", check_count("count", self.count, minimum=2))
+        check_flag("fill", self.fill)
+
+    def __call__(self, batch: Batch) -> Float32s:
+        """Return the points, (B, T, 2) float32.
+
+        Raises:
+            ValueError: a line that does not fit or is not free, unless ``fill`` is set.
+        """
+        points, bends = divided_lines(batch, self.count)
+        is_refused = (bends > self.count - 2) | (bends == NOT_FREE)
+        if not self.fill and is_refused.any():
+            refused = int(np.argmax(is_refused))
+            problem = f"waypoints: problem {batch.problems[refused]}"
+            if bends[refused] == NOT_FREE and batch.radius == 0:
+                raise ValueError(
+                    f"{problem} has a stored path through occupied cells, expected an undamaged "
+                    "dataset: 'mapdata verify' checks it"
+                )
+            if bends[refused] == NOT_FREE:
+                raise ValueError(
+                    f"{problem} has no free line for a radius of {batch.radius:g} cells, expected "
+                    "a movement that cuts no corners, or Waypoints(fill=True)"
+                )
+            raise ValueError(
+                f"{problem} has a line of {bends[refused]} bends, expected at most "
+                f"{self.count - 2} for {self.count} points: take Waypoints({bends[refused] + 2}), "
+                f"Waypoints({self.count}, fill=True), or MapDataset.filter(bends=(0, "
+                f"{self.count - 2}))"
+            )
+        return points
+
+
+def divided_lines(batch: Batch, count: int) -> tuple[Float32s, Ints]:
+    """Return ``count`` points of each taut line, and the numbers of bends as `write_waypoints`."""
+    points = np.empty((len(batch.grids), count, 2), np.float32)
+    cells, offsets, _ = batch.paths
+    robot = robot_of(batch.radius)
+    cuts_corners = batch.movement.corner_cutting
+    bends = write_waypoints(batch.obstacles, cells, offsets, robot, cuts_corners, points)
+    return points, bends
+
+
+def waypoints(batch: Batch) -> Float32s:
+    """``waypoints``: (B, T, 2) float32, points (row, col) of the taut line from start to goal.
+
+    In cells: the middle of cell (r, c) is (r + 0.5, c + 0.5). T is 32, or that of a `Waypoints`. -1
+    without a path.
+    """
+    return Waypoints()(batch)
+
+
 Field = Callable[[Batch], Array]
 
 FIELDS: dict[str, Field] = {
@@ -320,6 +409,7 @@ FIELDS: dict[str, Field] = {
         connection_matrix,
         seed_points,
         problem,
+        waypoints,
     )
 }
 """All fields by name."""

@@ -143,6 +143,12 @@ class OnlineMapDataset(SampledProblemDataset):
     def _grids(self, map_numbers: Ints) -> Bytes:
         return self._inflated(self._maps(map_numbers))
 
+    def _obstacles(self, map_numbers: Ints) -> Bytes:
+        return self._maps(map_numbers).occupancy
+
+    def _radius_in_cells(self) -> float:
+        return self.serving.radius / self.generator.resolution
+
     def _inflated(self, maps: Maps) -> Bytes:
         """Return the grids of maps, inflated by the radius of the robot."""
         grids = maps.occupancy

@@ -45,6 +45,7 @@ from mapdata.formats.files import (
 from mapdata.formats.images import PICTURES, Pixels, note_free_cells, read_pixels
 from mapdata.formats.registry import Format
 from mapdata.npy import FormatError, refusing
+from mapdata.search.taut import to_metres
 from mapdata.shards.files import StrPath
 from mapdata.shards.root import Root
 
@@ -84,14 +85,9 @@ class RosMap:
 
     def to_metres(self, row: float, column: float) -> tuple[float, float]:
         """Return (x, y), in metres, of the middle of a cell (row, col)."""
-        x0, y0, yaw = self.origin
-        # Metres from the lower left corner, along the edges of the picture.
-        right = (column + 0.5) * self.resolution
-        up = (len(self.cells) - row - 0.5) * self.resolution
-        # The picture is rotated about that corner by yaw.
-        east = right * math.cos(yaw) - up * math.sin(yaw)
-        north = right * math.sin(yaw) + up * math.cos(yaw)
-        return x0 + east, y0 + north
+        middle = (row + 0.5, column + 0.5)
+        x, y = to_metres(middle, len(self.cells), self.resolution, self.origin).tolist()
+        return x, y
 
 
 def read_map(path: StrPath, limits: Limits = LIMITS) -> RosMap:

@@ -106,6 +106,7 @@ def plot_path(
     axes: Axes | None = None,
     *,
     paper_colours: bool = False,
+    taut: bool = False,
 ) -> Axes:
     """Draw the route of one search on map ``i`` of a batch: the paper's Figure 3.
 
@@ -117,7 +118,11 @@ def plot_path(
         search: "astar" or "bfs".
         axes: where to draw; default a new figure.
         paper_colours: free black, occupied white.
+        taut: draw the taut line of each segment (`mapdata.pull_taut`) instead of its cells.
     """
+    # Its kernels import numba, which most figures do not need.
+    from mapdata.search.taut import pull_taut
+
     axes = plot_grid(labels.maps.occupancy[i], axes, paper_colours=paper_colours)
     iterations = labels.iterations(search, i)
     route = labels.route(search, i)
@@ -129,9 +134,14 @@ def plot_path(
         label = f"{segment + 1} to {segment + 2}: {moves}, {count:,} iterations"
         colour = colours[segment % len(colours)]
         style = styles[segment // len(colours) % len(styles)]
-        # Neighbouring segments often share cells, so they take different lanes.
-        lane = lanes[segment % len(lanes)]
-        plot_cells(axes, path, colour, label, style, lane)
+        if taut and len(path):
+            # In the picture, whole numbers are the middles of cells. A line in another lane would
+            # cross the corners around which it bends.
+            line = pull_taut(labels.maps.occupancy[i], path) - 0.5
+            plot_cells(axes, line, colour, label, style)
+        else:
+            # Neighbouring segments often share cells, so they take different lanes.
+            plot_cells(axes, path, colour, label, style, lanes[segment % len(lanes)])
     _plot_seed_points(axes, labels, i)
     axes.set_title(
         f"map{labels.maps.index[i]}, {NAMES[search]}: {iterations.sum():,} iterations in all"
@@ -240,7 +250,7 @@ def plot_cells(
 
     Args:
         axes: where to draw.
-        path: (k, 2) cells (row, col).
+        path: (k, 2) cells (row, col), or points between their middles.
         colour: of line and arrows.
         label: in a legend.
         style: a line style of matplotlib.

@@ -25,8 +25,8 @@ MAX_SAMPLES = 9
 def plot_sample(sample: tuple[Any, ...], axes: Axes | None = None) -> Axes:
     """Draw a sample of a dataset, or the first 9 of a batch.
 
-    The figure shows the map, start S, goal G and path, as far as the sample has these fields, and
-    its first dense field, such as ``cost_to_go``, as a shade. Masks are not drawn.
+    The figure shows the map, start S, goal G, path and waypoints, as far as the sample has these
+    fields, and its first dense field, such as ``cost_to_go``, as a shade. Masks are not drawn.
 
     ``plot_sample(dataset[:9]).figure.savefig("batch.png")`` writes a picture.
 
@@ -77,6 +77,10 @@ def plot_sample(sample: tuple[Any, ...], axes: Axes | None = None) -> Axes:
         path = _without_padding(fields["path"])
         plot_cells(axes, path, COLOURS["astar"], "path")
         title_parts.append(f"{len(path)} cells" if len(path) else "no path")
+    if "waypoints" in fields and (fields["waypoints"] >= 0).all():
+        # In the picture, whole numbers are the middles of cells.
+        rows, columns = fields["waypoints"].T - 0.5
+        axes.plot(columns, rows, color=COLOURS["seed"], marker=".", label="waypoints")
     for name in ("cost", "hardness"):
         if name in fields:
             title_parts.append(f"{name} {float(fields[name]):.4g}")

@@ -13,6 +13,7 @@ from mapdata.search.api import (
 from mapdata.search.footprint import clearance, inflate, inflate_terrain
 from mapdata.search.labels import Labels, RouteLabels, label
 from mapdata.search.lattice import hardness
+from mapdata.search.taut import lines_are_free, pull_taut, to_metres
 
 __all__ = [
     "STEPS",
@@ -29,5 +30,8 @@ __all__ = [
     "inflate",
     "inflate_terrain",
     "label",
+    "lines_are_free",
+    "pull_taut",
     "search_batch",
+    "to_metres",
 ]

@@ -453,6 +453,18 @@ def turned_cells(cells: Array, code: int, shape: tuple[int, ...]) -> Array:
     return np.where(is_padding, cells, new_cells[numbers[cells[..., 0], cells[..., 1]]])
 
 
+def turned_points(points: Array, code: int, shape: tuple[int, ...]) -> Array:
+    """Return where points (..., 2) between cells are after a symmetry."""
+    rows, columns = points[..., 0], points[..., 1]
+    if code & 1:
+        rows = shape[0] - rows
+    if code & 2:
+        columns = shape[1] - columns
+    turned = np.stack((columns, rows) if code & 4 else (rows, columns), axis=-1)
+    is_padding = points[..., :1] < 0
+    return np.where(is_padding, points, turned)
+
+
 def turned_moves(bits: Array, code: int) -> Array:
     """Return bit sets of moves (H, W) after a symmetry, which turns the directions, too."""
     compass = np.full((3, 3), -1)
@@ -522,8 +534,10 @@ def test_an_augmented_sample_is_a_symmetry_of_the_plain_one(
                 np.testing.assert_array_equal(turned[field], sample[field], field)
             expected = turned_moves(sample["optimal_moves"][0], code)
             np.testing.assert_array_equal(turned["optimal_moves"][0], expected)
+            expected = turned_points(sample["waypoints"], code, shape)
+            np.testing.assert_array_equal(turned["waypoints"], expected)
     assert codes == set(range(last_code + 1))
-    checked = {*GRID_FIELDS, *CELL_FIELDS, *UNTURNED_FIELDS, "optimal_moves"}
+    checked = {*GRID_FIELDS, *CELL_FIELDS, *UNTURNED_FIELDS, "optimal_moves", "waypoints"}
     assert checked == {*samples.ALL_FIELDS}
 
 

@@ -323,6 +323,7 @@ TABLE: dict[str, tuple[tuple[int, ...], torch.dtype]] = {
     "connection_matrix": ((B, R, R), torch.float32),
     "seed_points": ((B, R, 2), torch.int64),
     "problem": ((B,), torch.int64),
+    "waypoints": ((B, 32, 2), torch.float32),
 }
 """The design's table; `path` is apart."""
 

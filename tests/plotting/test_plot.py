@@ -18,7 +18,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from mapdata import Labels, MapSpec, generate, label
+from mapdata import Labels, MapSpec, generate, label, pull_taut
 from mapdata.plotting import (
     COLOURS,
     PALETTE,
@@ -112,6 +112,19 @@ def test_path_shows_each_segment_with_its_iterations() -> None:
         ]
         assert [text.get_text() for text in legend.get_texts()] == expected
         assert any("no path" in text for text in expected)
+
+
+def test_a_taut_path_shows_the_taut_line_of_each_segment() -> None:
+    """Its points are those of `pull_taut`, with whole numbers in the middles of cells."""
+    labels = some(SPEC)
+    i = int(np.flatnonzero(labels.all_connected)[0])
+    grid = labels.maps.occupancy[i]
+    lines = plot_path(labels, i, taut=True).get_lines()
+    route = labels.route("astar", i)
+    assert len(route) >= 1
+    for line, path in zip(lines, route, strict=True):
+        drawn_points = np.stack((line.get_ydata(), line.get_xdata()), axis=1)
+        np.testing.assert_array_equal(drawn_points + 0.5, pull_taut(grid, path))
 
 
 def test_the_legend_of_many_segments_names_the_first_16() -> None:

@@ -93,6 +93,17 @@ def test_first_dense_field_is_a_shade(tmp_path: Path, field: Any) -> None:
     assert_tidy(figure_of(axes))
 
 
+def test_waypoints_are_drawn_as_points_of_a_line(tmp_path: Path) -> None:
+    """With whole numbers in the middles of cells; those that were refused are not drawn."""
+    fields = ("map", "waypoints")
+    sample = MapDataset(build_small(tmp_path / "d", WIDE), fields=fields)[3]
+    (line,) = plot_sample(sample).get_lines()
+    points = np.stack((line.get_ydata(), line.get_xdata()), axis=1)
+    np.testing.assert_array_equal(points + 0.5, sample.waypoints)
+    refused = sample._replace(waypoints=sample.waypoints * 0 - 1)
+    assert len(plot_sample(refused).get_lines()) == 0
+
+
 def test_a_prediction_is_drawn_with_the_true_path_and_marks_collisions() -> None:
     """Padding is left out, and crosses mark the predicted cells that are occupied."""
     grid = np.zeros((6, 8), np.uint8)

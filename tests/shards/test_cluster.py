@@ -25,6 +25,7 @@ from importlib import import_module
 from dask import config
 from distributed import Client, LocalCluster
 from mapdata import build
+from mapdata.generators import as_recipe
 from mapdata.shards.cluster import dask_executor
 
 def located(function, *arguments):
