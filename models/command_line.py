@@ -44,3 +44,9 @@ def run_one_of(
         if error.name != "scipy":
             raise
         sys.exit(complain(error, 2))  # the samplers need it, and their error says so
+    except (OSError, ValueError) as error:  # what a user can put right
+        sys.exit(complain(error, 2))
+    except KeyError as error:
+        if error.args != ("pytorch-lightning_version",):
+            raise
+        sys.exit(complain("--ckpt_path: the file is no checkpoint of a training", 2))

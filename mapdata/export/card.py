@@ -9,8 +9,11 @@ from typing import Any
 from mapdata.datasets.fields import FIELDS
 from mapdata.export.parquet import HUB_SPLITS
 
-_SIZES = ("n<1K", "1K<n<10K", "10K<n<100K", "100K<n<1M", "1M<n<10M", "n>10M")
-"""Size categories of the Hub, parted by 10**3, 10**4, ... 10**7 rows."""
+_SIZES = ("n<1K", "1K<n<10K", "10K<n<100K", "100K<n<1M", "1M<n<10M", "10M<n<100M")
+"""Size categories of the Hub, parted by 10**3, 10**4, ... 10**7 rows.
+
+An export has at most 10**8 problems of a split.
+"""
 
 
 def problem_card(
@@ -88,5 +91,7 @@ def _front_matter(name: str, counts: dict[str, int], total: int, licence: str | 
 
 def _meaning(field: str) -> str:
     """Return the first sentence of a field's docstring, without its name."""
+    if field == "path":
+        return "(length, 2) int32, cells from start to goal, both included"
     text = (FIELDS[field].__doc__ or "").partition("\n")[0]
     return text.partition(": ")[2].replace("|", "\\|")

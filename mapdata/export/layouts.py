@@ -54,6 +54,8 @@ class Layout:
         movement: rule of the repository's planner, used unless the caller says otherwise.
         archive: name of one ``.npz`` that holds all splits, as arr_0, arr_1, ... in the order of
             ``splits`` and ``arrays``; empty where each split is a folder of ``.npy`` files.
+        max_batch: how many problems are turned into rows at once; fewer where one problem has many
+            rows.
         write_index: called with the folder of a split, the number of its problems and the map
             size, to write what is no array of rows.
     """
@@ -66,6 +68,7 @@ class Layout:
     problems: str
     movement: Movement
     archive: str = ""
+    max_batch: int = 4096
     write_index: Callable[[Path, int, Size], None] | None = None
 
 
@@ -240,6 +243,7 @@ LAYOUTS: dict[str, Layout] = {
             problems="random",
             movement=Movement(8, corner_cutting=True),
             archive="vin.npz",
+            max_batch=32,
         ),
         Layout(
             name="hrm",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -14,7 +15,7 @@ from typing import Any
 from tqdm import tqdm
 
 from mapdata._version import __version__
-from mapdata.checks import check_choice, check_count
+from mapdata.checks import check_choice, check_count, check_flag
 from mapdata.datasets.dataset import MapDataset, ProblemDataset
 from mapdata.datasets.online import OnlineMapDataset
 from mapdata.export.card import problem_card
@@ -46,6 +47,9 @@ _BATCH_CELLS = 2**22
 """Cells of the maps of a batch. The fields of a batch take some 10 to 100 bytes a cell."""
 
 _MAX_BATCH = 4096
+
+_MAX_COUNT = 10**8
+"""Problems of a split; the numbers of so many maps take 1.6 GB."""
 
 _MAZE_TEXT_FIELDS = ("map", "start", "goal", "path")
 
@@ -87,8 +91,8 @@ def export_problems(
             have their own.
         split: "train", "val" or "test"; None for all that the format has a place for.
         count: problems of each split. Default: all stored ones; of a recipe, one on each of its
-            maps. Random problems may be more than maps: then the maps are used again, with new
-            problems.
+            maps. More random problems than a built dataset has maps use the maps again, with new
+            starts and goals. Of a recipe each problem is on another map, however many.
         problems: as in `MapDataset`; default "route", and in layouts what their repository draws.
         search: as in `MapDataset`.
         movement: as in `MapDataset`; layouts have the rule of their repository as default.
@@ -112,11 +116,14 @@ def export_problems(
         OSError: the disk is full or may not be written to.
     """
     check_choice("format", format, PROBLEM_FORMATS)
+    check_flag("augment", augment)
     layout = LAYOUTS.get(format)
     if fields is not None and format not in ("arrays", "parquet"):
         raise ValueError(f"fields: {format} has its own fields, expected none")
     if licence is not None and format != "parquet":
         raise ValueError(f"licence: {format} has no card to state it, expected none")
+    if licence is not None and re.fullmatch(r"[a-z0-9][a-z0-9.+-]*", str(licence)) is None:
+        raise ValueError(f"licence: got {licence!r}, expected a word of the Hub, such as cc-by-4.0")
     if max_length is not None and format != "arrays":
         raise ValueError(
             f"max_length: only arrays have rows to pad; for {format} give random problems a band "
@@ -132,6 +139,12 @@ def export_problems(
         max_length=max_length,
         sampling_seed=sampling_seed,
     )
+    if options.problems.unsolvable and format not in ("arrays", "parquet"):
+        raise ValueError(
+            f"problems: {format} needs a path of each problem, expected none with unsolvable=True"
+        )
+    if max_length is not None and "path" not in options.fields:
+        raise ValueError("max_length: expected 'path' among the fields")
     places = _places_of(format)
     if split is not None:
         check_choice("split", split, SPLITS)
@@ -143,18 +156,23 @@ def export_problems(
             raise ValueError(f"split: {format} is one file of all splits, expected none")
         places = (split,)
     parts, origin = _open(source, options, places, split, count, seed)
+    dataset = parts[0].dataset
     if format in ("maze-hard", "hrm"):
-        _check_square_and_straight(format, parts[0].dataset)
+        _check_square_and_straight(format, dataset)
+    rows, columns = dataset.map_size
+    if max_length is not None and max_length > rows * columns:
+        raise ValueError(f"max_length: got {max_length}, but a map has only {rows * columns} cells")
     with _new_folder(local_path(target)) as folder:
         writer = _writer(format, folder, options, parts)
-        _write(parts, writer, progress)
+        max_batch = _MAX_BATCH if layout is None else layout.max_batch
+        _write(parts, writer, max_batch, progress)
         counts = {part.split: part.count for part in parts}
-        files = writer.finish(counts, parts[0].dataset.map_size)
+        files = writer.finish(counts, dataset.map_size)
         about = {
             "mapdata": __version__,
             "format": format,
             "origin": origin,
-            "options": {**options.plain(), "movement": asdict(parts[0].dataset.movement)},
+            "options": options.plain(dataset),
             "problems": counts,
             "files": files,
             "content_hash": sha256(canonical_json(files).encode()).hexdigest(),
@@ -188,9 +206,16 @@ class _Options:
             "max_length": self.max_length if has_path else None,
         }
 
-    def plain(self) -> dict[str, Any]:
-        """Return the arguments as plain values for JSON, but for the movement."""
-        return {**vars(self), "problems": plain_text(self.problems)}
+    def plain(self, dataset: ProblemDataset) -> dict[str, Any]:
+        """Return the arguments as plain values for JSON, as a dataset has checked them."""
+        return {
+            **vars(self),
+            "problems": plain_text(self.problems),
+            "movement": asdict(dataset.movement),
+            "radius": dataset.serving.radius,
+            "max_length": dataset.serving.max_length,
+            "sampling_seed": dataset.serving.sampling_seed,
+        }
 
 
 @dataclass(frozen=True)
@@ -208,10 +233,10 @@ class _Part:
     dataset: ProblemDataset
     count: int
 
-    def batches(self) -> Iterator[Columns]:
-        """Yield the fields of all problems, a batch at a time."""
+    def batches(self, max_batch: int) -> Iterator[Columns]:
+        """Yield the fields of all problems, at most ``max_batch`` at a time."""
         rows, columns = self.dataset.map_size
-        batch_size = min(max(_BATCH_CELLS // (rows * columns), 1), _MAX_BATCH)
+        batch_size = min(max(_BATCH_CELLS // (rows * columns), 1), max_batch)
         length = len(self.dataset)
         first = 0
         while first < self.count:
@@ -281,7 +306,11 @@ def _open(
     Splits without problems are left out, unless the caller asked for this one.
     """
     if count is not None:
-        check_count("count", count)
+        count = check_count("count", count)
+        if count > _MAX_COUNT:
+            raise ValueError(
+                f"count: got {count}, expected at most {_MAX_COUNT} problems of a split"
+            )
     if _is_dataset(source):
         if seed is not None:
             raise ValueError("seed: a built dataset has its own, expected none")
@@ -345,6 +374,8 @@ def _recipe_of(source: RecipeLike, seed: int | None) -> Recipe:
     try:
         return as_recipe(source, seed=seed)
     except ValueError as error:
+        if "expected a preset" not in str(error):
+            raise
         raise ValueError(f"{error}; or the folder or URL of a built dataset") from None
 
 
@@ -393,13 +424,13 @@ def _writer(format: str, folder: Path, options: _Options, parts: Sequence[_Part]
     return LayoutWriter(folder, layout, parts[0].dataset.movement)
 
 
-def _write(parts: Sequence[_Part], writer: Writer, progress: bool) -> None:
-    """Write all problems of all splits."""
+def _write(parts: Sequence[_Part], writer: Writer, max_batch: int, progress: bool) -> None:
+    """Write all problems of all splits, at most ``max_batch`` at a time."""
     total = sum(part.count for part in parts)
     try:
         with tqdm(total=total, unit=" problems", disable=not progress, leave=False) as bar:
             for part in parts:
-                for columns in part.batches():
+                for columns in part.batches(max_batch):
                     writer.write(part.split, columns)
                     bar.update(len(next(iter(columns.values()))))
     except BaseException:
@@ -416,18 +447,30 @@ def _new_folder(target: Path) -> Iterator[Path]:
     """
     if target.name in ("", ".."):
         raise ValueError(f"{target}: expected the name of the folder to write")
-    is_empty = target.is_dir() and not any(target.iterdir())
-    if target.exists() and not is_empty:
-        raise ValueError(f"{target}: exists already, expected a new name or an empty folder")
+    if target.is_symlink():
+        raise ValueError(f"{target}: is a link, expected a new name or an empty folder")
+    _check_unused(target)
     make_folder(target.parent)
     sweep_temporaries(target.parent)
     with temporary_folder(target) as folder:
         unfinished = folder / "export"
         unfinished.mkdir()
         yield unfinished
+        _check_unused(target)  # another export may have written it meanwhile
         if target.is_dir():
             target.rmdir()  # os.replace cannot replace a folder on every system
         os.replace(unfinished, target)
+
+
+def _check_unused(target: Path) -> None:
+    """Refuse a target that holds something.
+
+    Raises:
+        ValueError: it exists and is no empty folder.
+    """
+    is_empty = target.is_dir() and not any(target.iterdir())
+    if target.exists() and not is_empty:
+        raise ValueError(f"{target}: exists already, expected a new name or an empty folder")
 
 
 def _notes(parts: Sequence[_Part]) -> list[str]:
@@ -436,7 +479,7 @@ def _notes(parts: Sequence[_Part]) -> list[str]:
     for part in parts:
         if part.count > len(part.dataset):
             notes.append(
-                f"{part.split}: each map stands in up to {-(-part.count // len(part.dataset))} "
-                "problems"
+                f"{part.split}: more problems than the {len(part.dataset):,} that an epoch has, so "
+                "maps are used again"
             )
     return notes

@@ -14,11 +14,13 @@ import pytest
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from mapdata import MapDataset, MapGenerator, Maze, Movement, OnlineMapDataset, Random, build
+from mapdata import MapDataset, MapGenerator, Maze, Movement, OnlineMapDataset, Random, Route, build
 from mapdata.arrays import Array
 from mapdata.export import LAYOUTS, PROBLEM_FORMATS, export_problems
 from mapdata.export.growing_array import GrowingArray
+from mapdata.export.layouts import Columns
 from mapdata.export.parquet import ParquetWriter
+from mapdata.export.problems import _Part
 from mapdata.export.writers import ArrayWriter
 from mapdata.formats.maze_hard import is_shortest_answer
 
@@ -107,7 +109,7 @@ def test_more_random_problems_than_maps_are_those_of_later_epochs(
     for i in range(count):
         np.testing.assert_array_equal(starts[i], dataset.__getitems__([i])[0].start)
     assert not np.array_equal(starts[: len(dataset)], starts[len(dataset) : 2 * len(dataset)])
-    assert "each map stands in up to 3 problems" in notes[-1]
+    assert "maps are used again" in notes[-1]
 
 
 def test_max_length_pads_paths_and_bounds_random_ones(root: str, tmp_path: Path) -> None:
@@ -353,17 +355,11 @@ def test_an_interrupted_export_leaves_nothing(
     format_name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Neither the target nor a temporary folder."""
-
-    def interrupted(self: Any) -> Iterator[Any]:
-        yield from first_batch(self)
-        raise KeyboardInterrupt
-
-    from mapdata.export.problems import _Part
-
     batches = _Part.batches
 
-    def first_batch(part: Any) -> Iterator[Any]:
-        return iter([next(batches(part))])
+    def interrupted(part: _Part, max_batch: int) -> Iterator[Columns]:
+        yield next(batches(part, max_batch))
+        raise KeyboardInterrupt
 
     monkeypatch.setattr(_Part, "batches", interrupted)
     with pytest.raises(KeyboardInterrupt):
@@ -385,7 +381,13 @@ def test_an_interrupted_export_leaves_nothing(
         ({"split": "dev"}, "split: got 'dev'"),
         ({"count": 0}, "count: got 0"),
         ({"count": 10**6}, "count: got 1000000, but the split 'train' has"),
+        ({"count": 10**9}, "expected at most 100000000 problems"),
         ({"seed": 1}, "seed: a built dataset has its own"),
+        ({"max_length": 9, "fields": ("map",)}, "expected 'path' among the fields"),
+        ({"max_length": 226}, "max_length: got 226, but a map has only 225 cells"),
+        ({"format": "hrm", "problems": Route(unsolvable=True)}, "hrm needs a path of each problem"),
+        ({"format": "parquet", "licence": "not a word"}, "expected a word of the Hub"),
+        ({"augment": "no"}, "augment: got 'no'"),
         ({"format": "hrm", "movement": Movement(8)}, "expected square maps and 4-connected"),
     ],
 )
@@ -404,6 +406,58 @@ def test_a_folder_that_holds_something_is_refused(root: str, tmp_path: Path) -> 
     with pytest.raises(ValueError, match="exists already"):
         export_problems(root, tmp_path)
     assert (tmp_path / "mine").read_text() == "kept"
+
+
+def test_a_link_is_refused_and_a_folder_that_appears_meanwhile_stays(
+    root: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second of two exports to one target ends in one line and leaves the first one's files."""
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(ValueError, match="is a link"):
+        export_problems(root, tmp_path / "link")
+    batches = _Part.batches
+
+    def overtaken(part: _Part, max_batch: int) -> Iterator[Columns]:
+        (tmp_path / "out").mkdir(exist_ok=True)
+        (tmp_path / "out/theirs").write_text("kept")
+        yield from batches(part, max_batch)
+
+    monkeypatch.setattr(_Part, "batches", overtaken)
+    with pytest.raises(ValueError, match="exists already"):
+        export_problems(root, tmp_path / "out")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["theirs"]
+
+
+def test_numbers_of_numpy_are_taken(root: str, tmp_path: Path) -> None:
+    """They are plain numbers in ``export.json``."""
+    export_problems(
+        root,
+        tmp_path / "out",
+        problems="random",
+        count=np.int64(2),  # type: ignore[arg-type]
+        sampling_seed=np.int64(3),  # type: ignore[arg-type]
+        radius=np.float32(0),  # type: ignore[arg-type]
+    )
+    values = about(tmp_path / "out")
+    assert values["problems"] == dict.fromkeys(SPLIT_COUNTS, 2)
+    assert values["options"]["sampling_seed"] == 3
+
+
+def test_a_layout_with_many_rows_a_problem_takes_few_problems_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """VIN has a picture for each move of a path: memory would grow with the lengths of paths."""
+    sizes = []
+    batches = _Part.batches
+
+    def counted(part: _Part, max_batch: int) -> Iterator[Columns]:
+        for columns in batches(part, max_batch):
+            sizes.append(len(columns["map"]))
+            yield columns
+
+    monkeypatch.setattr(_Part, "batches", counted)
+    export_problems(MAZE, tmp_path / "out", format="vin", count=70)
+    assert sizes == [32, 32, 6] * 2
 
 
 def test_a_growing_array_is_an_ordinary_npy_file(tmp_path: Path) -> None:
