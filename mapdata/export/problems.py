@@ -115,20 +115,8 @@ def export_problems(
         ValueError: arguments that do not fit, or that would do nothing; a target that exists.
         OSError: the disk is full or may not be written to.
     """
-    check_choice("format", format, PROBLEM_FORMATS)
+    _check_format_options(format, fields, licence, max_length)
     check_flag("augment", augment)
-    layout = LAYOUTS.get(format)
-    if fields is not None and format not in ("arrays", "parquet"):
-        raise ValueError(f"fields: {format} has its own fields, expected none")
-    if licence is not None and format != "parquet":
-        raise ValueError(f"licence: {format} has no card to state it, expected none")
-    if licence is not None and re.fullmatch(r"[a-z0-9][a-z0-9.+-]*", str(licence)) is None:
-        raise ValueError(f"licence: got {licence!r}, expected a word of the Hub, such as cc-by-4.0")
-    if max_length is not None and format != "arrays":
-        raise ValueError(
-            f"max_length: only arrays have rows to pad; for {format} give random problems a band "
-            f'of lengths, {{"random": {{"length": [null, {max_length}]}}}}'
-        )
     options = _Options(
         fields=_fields_of(format, fields),
         problems=_problems_of(format, problems, max_length),
@@ -145,17 +133,8 @@ def export_problems(
         )
     if max_length is not None and "path" not in options.fields:
         raise ValueError("max_length: expected 'path' among the fields")
-    places = _places_of(format)
-    if split is not None:
-        check_choice("split", split, SPLITS)
-        if split not in places:
-            raise ValueError(
-                f"split: {format} has no place for {split!r}, only {', '.join(places)}"
-            )
-        if layout is not None and layout.archive:
-            raise ValueError(f"split: {format} is one file of all splits, expected none")
-        places = (split,)
-    parts, origin = _open(source, options, places, split, count, seed)
+    splits = _splits_of(format, split)
+    parts, origin = _open(source, options, splits, split, count, seed)
     dataset = parts[0].dataset
     if format in ("maze-hard", "hrm"):
         _check_square_and_straight(format, dataset)
@@ -164,7 +143,7 @@ def export_problems(
         raise ValueError(f"max_length: got {max_length}, but a map has only {rows * columns} cells")
     with _new_folder(local_path(target)) as folder:
         writer = _writer(format, folder, options, parts)
-        max_batch = _MAX_BATCH if layout is None else layout.max_batch
+        max_batch = LAYOUTS[format].max_batch if format in LAYOUTS else _MAX_BATCH
         _write(parts, writer, max_batch, progress)
         counts = {part.split: part.count for part in parts}
         files = writer.finish(counts, dataset.map_size)
@@ -288,9 +267,47 @@ def _movement_of(format: str) -> Movement | None:  # noqa: A002
     return LAYOUTS[format].movement if format in LAYOUTS else None
 
 
-def _places_of(format: str) -> tuple[str, ...]:  # noqa: A002
-    """Return the splits that a format has a place for."""
-    return tuple(LAYOUTS[format].splits) if format in LAYOUTS else SPLITS
+def _check_format_options(
+    format: str,  # noqa: A002
+    fields: Sequence[str] | None,
+    licence: str | None,
+    max_length: int | None,
+) -> None:
+    """Refuse an unknown format, and options that would do nothing for it.
+
+    Raises:
+        ValueError: the message names the option.
+    """
+    check_choice("format", format, PROBLEM_FORMATS)
+    if fields is not None and format not in ("arrays", "parquet"):
+        raise ValueError(f"fields: {format} has its own fields, expected none")
+    if licence is not None and format != "parquet":
+        raise ValueError(f"licence: {format} has no card to state it, expected none")
+    if licence is not None and re.fullmatch(r"[a-z0-9][a-z0-9.+-]*", str(licence)) is None:
+        raise ValueError(f"licence: got {licence!r}, expected a word of the Hub, such as cc-by-4.0")
+    if max_length is not None and format != "arrays":
+        raise ValueError(
+            f"max_length: only arrays have rows to pad; for {format} give random problems a band "
+            f'of lengths, {{"random": {{"length": [null, {max_length}]}}}}'
+        )
+
+
+def _splits_of(format: str, split: str | None) -> tuple[str, ...]:  # noqa: A002
+    """Return the splits to write: ``split``, or all that the format has a place for.
+
+    Raises:
+        ValueError: the format has no place for ``split``, or is one file of all splits.
+    """
+    layout = LAYOUTS.get(format)
+    splits = SPLITS if layout is None else tuple(layout.splits)
+    if split is None:
+        return splits
+    check_choice("split", split, SPLITS)
+    if split not in splits:
+        raise ValueError(f"split: {format} has no place for {split!r}, only {', '.join(splits)}")
+    if layout is not None and layout.archive:
+        raise ValueError(f"split: {format} is one file of all splits, expected none")
+    return (split,)
 
 
 def _open(
