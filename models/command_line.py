@@ -12,7 +12,7 @@ Command = Callable[[list[str] | None], object]
 """What a first word runs, with the arguments after it; None takes those of the process."""
 
 
-def run_one_of(
+def run_named_command(
     program: str,
     commands: Mapping[str, Command],
     description: str | None,
@@ -26,7 +26,7 @@ def run_one_of(
         description: what ``--help`` prints.
         arguments: the arguments; None takes those of the process.
     """
-    name, *others = (sys.argv[1:] if arguments is None else arguments) or [""]
+    name, *remaining = (sys.argv[1:] if arguments is None else arguments) or [""]
     description = description or ""
     if name in ("", "-h", "--help"):
         print(description.strip())
@@ -37,9 +37,9 @@ def run_one_of(
         sys.exit(complain(error, 2))
     if arguments is None:
         # LightningCLI warns of arguments that are not those of the process.
-        sys.argv[:] = [f"{program} {name}", *others]
+        sys.argv[:] = [f"{program} {name}", *remaining]
     try:
-        commands[name](None if arguments is None else others)
+        commands[name](None if arguments is None else remaining)
     except ModuleNotFoundError as error:
         if error.name != "scipy":
             raise

@@ -42,7 +42,7 @@ from mapdata.cli import check_outputs, load_problems, run_parsed, write_table
 from mapdata.movement import Movement
 from mapdata.plotting import plot_planners
 
-from .command_line import run_one_of
+from .command_line import run_named_command
 from .learned_planners import planners
 from .model import WEIGHTS, load_model
 from .neural_astar import NeuralAstar
@@ -214,7 +214,7 @@ COMMANDS = {
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its code."""
-    run_one_of("python -m mapdata.models.evaluate", COMMANDS, __doc__, arguments)
+    run_named_command("python -m mapdata.models.evaluate", COMMANDS, __doc__, arguments)
 
 
 if __name__ == "__main__":

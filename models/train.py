@@ -94,7 +94,7 @@ from mapdata import MapDataModule
 from mapdata.interrupts import stoppable
 
 from . import neural_astar  # noqa: F401  (registers the class, so that --model finds it by its name)
-from .command_line import run_one_of
+from .command_line import run_named_command
 from .learned_planners import LearnedPlanner
 from .model import Model, fast_precision
 
@@ -244,7 +244,7 @@ COMMANDS = {
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line."""
-    run_one_of("python -m mapdata.models.train", COMMANDS, __doc__, arguments)
+    run_named_command("python -m mapdata.models.train", COMMANDS, __doc__, arguments)
 
 
 if __name__ == "__main__":

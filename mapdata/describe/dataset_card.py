@@ -25,7 +25,7 @@ from mapdata.shards.dataset_files import read_provenance
 from mapdata.shards.locations import Locations
 from mapdata.shards.manifest import PROVENANCE, SPLIT_COUNTS, Manifest
 
-_SIZE_CATEGORIES = ("n<1K", "1K<n<10K", "10K<n<100K", "100K<n<1M", "1M<n<10M", "n>10M")
+_SIZE_CATEGORIES = ("n<1K", "1K<n<10K", "10K<n<100K", "100K<n<1M", "1M<n<10M", "10M<n<100M")
 """Size categories of the Hugging Face Hub; their bounds are 10**3, 10**4, ... 10**7 rows."""
 
 _MAX_SOURCES = 10
@@ -78,26 +78,30 @@ def card(
     """
     statistics = dataset_statistics(root, repeats=True, progress=progress)
     introduction, *other_sections = sections(statistics)
-    parts = [_front_matter(statistics), _markdown(introduction, level=1)]
+    parts = [front_matter(title(statistics), len(statistics)), _markdown(introduction, level=1)]
     parts += [_markdown(section, level=2) for section in other_sections]
     return "\n".join(parts)
 
 
-def _front_matter(statistics: DatasetStatistics) -> str:
-    """Return the YAML block that the Hub reads; the publisher adds the licence."""
+def front_matter(name: str, row_count: int, **properties: object) -> str:
+    """Return the YAML block that the Hugging Face Hub reads at the top of a card.
+
+    Args:
+        name: title of the dataset.
+        row_count: number of maps or problems.
+        **properties: further entries of the block, such as ``license``.
+    """
     bounds = 10 ** np.arange(3, 8)
-    size = _SIZE_CATEGORIES[np.digitize(len(statistics), bounds)]
-    properties: dict[str, object] = {
-        "pretty_name": title(statistics),
+    entries: dict[str, object] = {
+        "pretty_name": name,
         "task_categories": ["robotics"],
         "tags": ["path-planning", "occupancy-grid", "motion-planning", "mapdata"],
-        "size_categories": [size],
+        "size_categories": [_SIZE_CATEGORIES[np.digitize(row_count, bounds)]],
         "annotations_creators": ["machine-generated"],
+        **properties,
     }
     # JSON is also YAML, and escapes whatever a name from a file contains.
-    lines = [
-        f"{name}: {json.dumps(value, ensure_ascii=False)}\n" for name, value in properties.items()
-    ]
+    lines = [f"{key}: {json.dumps(entry, ensure_ascii=False)}\n" for key, entry in entries.items()]
     return "---\n" + "".join(lines) + "---\n"
 
 

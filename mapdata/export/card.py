@@ -7,13 +7,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from mapdata.datasets.fields import FIELDS
+from mapdata.describe.dataset_card import front_matter
 from mapdata.export.parquet import HUB_SPLITS
-
-_SIZES = ("n<1K", "1K<n<10K", "10K<n<100K", "100K<n<1M", "1M<n<10M", "10M<n<100M")
-"""Size categories of the Hub, parted by 10**3, 10**4, ... 10**7 rows.
-
-An export has at most 10**8 problems of a split.
-"""
 
 
 def problem_card(
@@ -29,7 +24,16 @@ def problem_card(
     """
     counts: dict[str, int] = about["problems"]
     total = sum(counts.values())
-    lines = [_front_matter(name, counts, total, licence), f"# {name}", ""]
+    data_files = [
+        {"split": HUB_SPLITS[split], "path": f"data/{HUB_SPLITS[split]}-*.parquet"}
+        for split in counts
+    ]
+    properties: dict[str, object] = {
+        "configs": [{"config_name": "default", "data_files": data_files}]
+    }
+    if licence is not None:
+        properties["license"] = licence
+    lines = [front_matter(name, total, **properties), f"# {name}", ""]
     lines += [
         f"{total:,} path-planning problems on grid maps, made by mapdata {about['mapdata']}. A row "
         "is a problem.",
@@ -65,28 +69,6 @@ def problem_card(
         "```",
     ]
     return "\n".join(lines) + "\n"
-
-
-def _front_matter(name: str, counts: dict[str, int], total: int, licence: str | None) -> str:
-    """Return the YAML block that the Hub reads."""
-    size_number = sum(total >= 10**power for power in range(3, 8))
-    data_files = [
-        {"split": HUB_SPLITS[split], "path": f"data/{HUB_SPLITS[split]}-*.parquet"}
-        for split in counts
-    ]
-    entries: dict[str, object] = {
-        "pretty_name": name,
-        "task_categories": ["robotics"],
-        "tags": ["path-planning", "occupancy-grid", "motion-planning", "mapdata"],
-        "size_categories": [_SIZES[size_number]],
-        "annotations_creators": ["machine-generated"],
-        "configs": [{"config_name": "default", "data_files": data_files}],
-    }
-    if licence is not None:
-        entries = {"license": licence, **entries}
-    # Values are written as JSON, which is YAML too.
-    lines = [f"{key}: {json.dumps(entry, ensure_ascii=False)}" for key, entry in entries.items()]
-    return "\n".join(["---", *lines, "---", ""])
 
 
 def _meaning(field: str) -> str:

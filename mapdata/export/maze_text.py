@@ -5,13 +5,13 @@ Source: https://huggingface.co/datasets/sapientinc/maze-30x30-hard-1k.
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 from typing import Any
 
 from mapdata.datasets.text import maze_texts, maze_tokens
 from mapdata.export.layouts import Columns
 from mapdata.limits import Size
+from mapdata.shards.files import file_hash
 
 HEADER = "source,question,answer,rating"
 
@@ -46,10 +46,7 @@ class MazeTextWriter:
     def finish(self, counts: dict[str, int], map_size: Size) -> dict[str, Any]:
         """Return the checksum of each file, by its name."""
         names = [f"{split}.csv" for split in counts]
-        checksums = {
-            name: hashlib.sha256((self._folder / name).read_bytes()).hexdigest() for name in names
-        }
-        return {name: {"sha256": checksum} for name, checksum in checksums.items()}
+        return {name: {"sha256": file_hash(self._folder / name)} for name in names}
 
     def abort(self) -> None:
         """Nothing is open between batches."""

@@ -6,7 +6,6 @@ features: https://huggingface.co/docs/datasets/about_dataset_features.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +16,7 @@ from mapdata.arrays import Array
 from mapdata.datasets.field_kernels import PADDING
 from mapdata.export.layouts import Columns
 from mapdata.limits import Size
+from mapdata.shards.files import file_hash
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -72,7 +72,7 @@ class ParquetWriter:
     def finish(self, counts: dict[str, int], map_size: Size) -> dict[str, Any]:
         """Complete all files; return the checksum of each, by its name."""
         self.abort()
-        return {f"data/{name}": {"sha256": _checksum(self._folder / name)} for name in self._names}
+        return {f"data/{name}": {"sha256": file_hash(self._folder / name)} for name in self._names}
 
     def abort(self) -> None:
         """Close the file that is open."""
@@ -158,12 +158,3 @@ def _feature(name: str, rows: Array) -> dict[str, Any]:
         element = {"dtype": dtype, "_type": "Value"}
         return {"feature": element, "length": rows.shape[1], "_type": "Sequence"}
     return {"shape": list(rows.shape[1:]), "dtype": dtype, "_type": f"Array{rows.ndim - 1}D"}
-
-
-def _checksum(file: Path) -> str:
-    """Return the SHA-256 of a file, as hex."""
-    digest = hashlib.sha256()
-    with file.open("rb") as stream:
-        while block := stream.read(2**20):
-            digest.update(block)
-    return digest.hexdigest()

@@ -6,13 +6,9 @@ import json
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
-
-from tqdm import tqdm
 
 from mapdata._version import __version__
 from mapdata.checks import check_choice, check_count, check_flag
@@ -26,13 +22,14 @@ from mapdata.export.writers import ArrayWriter, LayoutWriter, Writer
 from mapdata.generators.generator import PRESETS, MapGenerator
 from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe
 from mapdata.generators.splits import maps_of_split
-from mapdata.hashing import canonical_json
+from mapdata.hashing import json_hash
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
 from mapdata.problems.sources import Random, Source, SourceLike, plain_text, problem_source
-from mapdata.shards.files import StrPath, make_folder, sweep_temporaries, temporary_folder
+from mapdata.shards.files import StrPath, new_output
 from mapdata.shards.locations import Locations, local_path
 from mapdata.shards.root import Root
+from mapdata.shards.workers import bar
 
 PROBLEM_FORMATS = ("arrays", "parquet", "maze-hard", *LAYOUTS)
 """What `export_problems` writes."""
@@ -118,10 +115,10 @@ def export_problems(
     _check_format_options(format, fields, licence, max_length)
     check_flag("augment", augment)
     options = _Options(
-        fields=_fields_of(format, fields),
-        problems=_problems_of(format, problems, max_length),
+        fields=_format_fields(format, fields),
+        problems=_format_problems(format, problems, max_length),
         search=search,
-        movement=movement or _movement_of(format),
+        movement=movement or _format_movement(format),
         radius=radius,
         augment=augment,
         max_length=max_length,
@@ -133,7 +130,7 @@ def export_problems(
         )
     if max_length is not None and "path" not in options.fields:
         raise ValueError("max_length: expected 'path' among the fields")
-    splits = _splits_of(format, split)
+    splits = _format_splits(format, split)
     parts, origin = _open(source, options, splits, split, count, seed)
     dataset = parts[0].dataset
     if format in ("maze-hard", "hrm"):
@@ -141,7 +138,8 @@ def export_problems(
     rows, columns = dataset.map_size
     if max_length is not None and max_length > rows * columns:
         raise ValueError(f"max_length: got {max_length}, but a map has only {rows * columns} cells")
-    with _new_folder(local_path(target)) as folder:
+    with new_output(local_path(target)) as folder:
+        folder.mkdir()
         writer = _writer(format, folder, options, parts)
         max_batch = LAYOUTS[format].max_batch if format in LAYOUTS else _MAX_BATCH
         _write(parts, writer, max_batch, progress)
@@ -154,7 +152,7 @@ def export_problems(
             "options": options.plain(dataset),
             "problems": counts,
             "files": files,
-            "content_hash": sha256(canonical_json(files).encode()).hexdigest(),
+            "content_hash": json_hash(files),
         }
         (folder / ABOUT).write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
         if format == "parquet":
@@ -226,7 +224,7 @@ class _Part:
             first = last
 
 
-def _fields_of(format: str, fields: Sequence[str] | None) -> tuple[str, ...]:  # noqa: A002
+def _format_fields(format: str, fields: Sequence[str] | None) -> tuple[str, ...]:  # noqa: A002
     """Return the fields that a format is made of."""
     if format in LAYOUTS:
         return LAYOUTS[format].fields
@@ -240,7 +238,7 @@ def _fields_of(format: str, fields: Sequence[str] | None) -> tuple[str, ...]:  #
     return tuple(fields)
 
 
-def _problems_of(
+def _format_problems(
     format: str,  # noqa: A002
     problems: SourceLike | None,
     max_length: int | None,
@@ -260,7 +258,7 @@ def _problems_of(
     return source
 
 
-def _movement_of(format: str) -> Movement | None:  # noqa: A002
+def _format_movement(format: str) -> Movement | None:  # noqa: A002
     """Return the movement of a format's repository; None for that of the dataset."""
     if format == "maze-hard":
         return Movement(4)
@@ -292,7 +290,7 @@ def _check_format_options(
         )
 
 
-def _splits_of(format: str, split: str | None) -> tuple[str, ...]:  # noqa: A002
+def _format_splits(format: str, split: str | None) -> tuple[str, ...]:  # noqa: A002
     """Return the splits to write: ``split``, or all that the format has a place for.
 
     Raises:
@@ -332,9 +330,9 @@ def _open(
         if seed is not None:
             raise ValueError("seed: a built dataset has its own, expected none")
         parts = [_stored_part(source, options, name, count) for name in splits]
-        origin = _origin_of_dataset(source)
+        origin = _dataset_origin(source)
     else:
-        recipe = _recipe_of(source, seed)
+        recipe = _source_recipe(source, seed)
         shares = dict(zip(SPLITS, recipe.generator.splits, strict=True))
         asked = [name for name in splits if shares[name] > 0 or name == split]
         parts = [_online_part(recipe, options, name, count) for name in asked]
@@ -382,7 +380,7 @@ def _is_dataset(source: Locations | RecipeLike) -> bool:
     return name not in PRESETS and ("://" in name or Path(name).is_dir())
 
 
-def _recipe_of(source: RecipeLike, seed: int | None) -> Recipe:
+def _source_recipe(source: RecipeLike, seed: int | None) -> Recipe:
     """Return the recipe that a source stands for.
 
     Raises:
@@ -396,7 +394,7 @@ def _recipe_of(source: RecipeLike, seed: int | None) -> Recipe:
         raise ValueError(f"{error}; or the folder or URL of a built dataset") from None
 
 
-def _origin_of_dataset(source: Locations) -> dict[str, Any]:
+def _dataset_origin(source: Locations) -> dict[str, Any]:
     """Return what a dataset is, as plain values."""
     root = Root.open(source)
     return {
@@ -445,49 +443,14 @@ def _write(parts: Sequence[_Part], writer: Writer, max_batch: int, progress: boo
     """Write all problems of all splits, at most ``max_batch`` at a time."""
     total = sum(part.count for part in parts)
     try:
-        with tqdm(total=total, unit=" problems", disable=not progress, leave=False) as bar:
+        with bar(progress, total, unit=" problems") as advance:
             for part in parts:
                 for columns in part.batches(max_batch):
                     writer.write(part.split, columns)
-                    bar.update(len(next(iter(columns.values()))))
+                    advance(len(next(iter(columns.values()))))
     except BaseException:
         writer.abort()
         raise
-
-
-@contextmanager
-def _new_folder(target: Path) -> Iterator[Path]:
-    """Yield a folder to write in, which becomes ``target`` when all went well.
-
-    Raises:
-        ValueError: the target exists and is no empty folder.
-    """
-    if target.name in ("", ".."):
-        raise ValueError(f"{target}: expected the name of the folder to write")
-    if target.is_symlink():
-        raise ValueError(f"{target}: is a link, expected a new name or an empty folder")
-    _check_unused(target)
-    make_folder(target.parent)
-    sweep_temporaries(target.parent)
-    with temporary_folder(target) as folder:
-        unfinished = folder / "export"
-        unfinished.mkdir()
-        yield unfinished
-        _check_unused(target)  # another export may have written it meanwhile
-        if target.is_dir():
-            target.rmdir()  # os.replace cannot replace a folder on every system
-        os.replace(unfinished, target)
-
-
-def _check_unused(target: Path) -> None:
-    """Refuse a target that holds something.
-
-    Raises:
-        ValueError: it exists and is no empty folder.
-    """
-    is_empty = target.is_dir() and not any(target.iterdir())
-    if target.exists() and not is_empty:
-        raise ValueError(f"{target}: exists already, expected a new name or an empty folder")
 
 
 def _notes(parts: Sequence[_Part]) -> list[str]:

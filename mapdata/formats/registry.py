@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from mapdata.formats.files import LIMITS, Limits, files_with_endings
 from mapdata.npy import FormatError
 from mapdata.options import options_of
 from mapdata.problems.problem_set import ProblemSet
-from mapdata.shards.files import StrPath, make_folder, sweep_temporaries, temporary_folder
+from mapdata.shards.files import StrPath, new_output
 from mapdata.shards.locations import Locations, local_path
 from mapdata.shards.root import Root
 
@@ -205,20 +204,9 @@ def export(
     ending = FORMATS[format_name].target_ending
     if not target.name.endswith(ending):
         raise ValueError(f"{target}: expected a name that ends with {ending}")
-    if target.name in ("", ".."):
-        raise FormatError(f"{target}: expected the name of the file or folder to write")
     source = Root.open(root, complete=True)
-    is_empty = target.is_dir() and not any(target.iterdir())
-    if target.exists() and not is_empty:
-        raise FormatError(f"{target}: exists already, expected a new name or an empty folder")
-    make_folder(target.parent)
-    sweep_temporaries(target.parent)
-    with temporary_folder(target) as folder:
-        temporary = folder / "export"
-        notes: list[str] = write(temporary, source, progress, **options)
-        if target.is_dir():
-            target.rmdir()  # it is empty; a file cannot replace a folder
-        os.replace(temporary, target)
+    with new_output(target) as unfinished:
+        notes: list[str] = write(unfinished, source, progress, **options)
     return notes
 
 

@@ -8,6 +8,7 @@ file, so the next writer into the folder can tell it from the file of a living w
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import shutil
@@ -19,7 +20,7 @@ from pathlib import Path
 from typing import IO
 from uuid import uuid4
 
-from mapdata.hashing import sha256_hex
+from mapdata.npy import FormatError
 
 if sys.platform != "win32":
     import fcntl
@@ -109,8 +110,12 @@ def file_size(path: Path) -> int | None:
 
 
 def file_hash(path: Path) -> str:
-    """Return the SHA-256 of a file as 64 hexadecimal digits."""
-    return sha256_hex(path.read_bytes())
+    """Return the SHA-256 of a file as 64 hexadecimal digits; it is read a megabyte at a time."""
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        while block := file.read(2**20):
+            digest.update(block)
+    return digest.hexdigest()
 
 
 _TEMPORARY_SUFFIX = ".mapdata.tmp"
@@ -151,6 +156,46 @@ def temporary_folder(target: Path) -> Iterator[Path]:
     # Another process removed the folder before it was locked.
     with temporary_folder(target) as folder:
         yield folder
+
+
+@contextmanager
+def new_output(target: Path) -> Iterator[Path]:
+    """Yield a path to write a file or folder at; it becomes ``target`` when the block succeeds.
+
+    Temporary files that killed writers left in the folder of ``target`` are removed.
+
+    Args:
+        target: a new name, or an empty folder.
+
+    Raises:
+        FormatError: the target is a link or holds something, before the block or after it.
+        OSError: the disk is full or may not be written to.
+    """
+    if target.name in ("", ".."):
+        raise FormatError(f"{target}: expected the name of the file or folder to write")
+    _check_unused(target)
+    make_folder(target.parent)
+    sweep_temporaries(target.parent)
+    with temporary_folder(target) as folder:
+        unfinished = folder / "output"
+        yield unfinished
+        _check_unused(target)  # another program may have written it meanwhile
+        if target.is_dir():
+            target.rmdir()  # it is empty; a file cannot replace a folder
+        os.replace(unfinished, target)
+
+
+def _check_unused(target: Path) -> None:
+    """Refuse a link, and a target that holds something.
+
+    Raises:
+        FormatError: the message names the target.
+    """
+    if target.is_symlink():
+        raise FormatError(f"{target}: is a link, expected a new name or an empty folder")
+    is_empty = target.is_dir() and not any(target.iterdir())
+    if target.exists() and not is_empty:
+        raise FormatError(f"{target}: exists already, expected a new name or an empty folder")
 
 
 def take_lock(file: IO[bytes], wait: bool = False) -> bool:

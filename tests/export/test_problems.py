@@ -331,7 +331,7 @@ def test_parquet_rows_are_problems(root: str, tmp_path: Path) -> None:
         np.testing.assert_array_equal(row["start"], sample.start)
         assert row["cost"] == sample.cost.item()
     card = (tmp_path / "out/README.md").read_text()
-    assert card.startswith('---\nlicense: "cc-by-4.0"\n')
+    assert '\nlicense: "cc-by-4.0"\n---\n' in card
 
 
 def test_large_sets_are_several_files(
