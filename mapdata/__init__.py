@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from mapdata.generators import MapSpec as MapSpec
     from mapdata.generators import Maze as Maze
     from mapdata.generators import Recipe as Recipe
+    from mapdata.generators import Terrain as Terrain
     from mapdata.generators import generate as generate
     from mapdata.generators import identity as identity
     from mapdata.movement import Movement as Movement
@@ -75,6 +76,7 @@ _FACES = {
         "Maps",
         "Maze",
         "Recipe",
+        "Terrain",
         "generate",
         "identity",
     ),

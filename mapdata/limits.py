@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-FORMAT_VERSIONS = (1, 2)
+FORMAT_VERSIONS = (1, 2, 3)
 """Versions of the bytes that are read and written: draws, labels and shard layout (docs/format.md).
 
 Version 2 is for datasets that version 1 cannot describe: maps of another generator than Algorithm
-1, and maps with sides over 1,024 cells. All other datasets are written in version 1.
+1, and maps with sides over 1,024 cells. Version 3 is for maps with terrain. All other datasets are
+written in version 1.
 """
+
+TERRAIN_VERSION = 3
+"""The version of the format whose maps have terrain."""
 
 MAX_SIDE = 4096
 """Largest number of rows or columns of a map."""

@@ -1,6 +1,6 @@
 """Families of maps, each a `MapGenerator` in its own file; presets, recipes, and the `Maps`."""
 
-from mapdata.generators import caves, forests, mazes, rooms
+from mapdata.generators import caves, forests, mazes, rooms, terrain
 from mapdata.generators.caves import Cave
 from mapdata.generators.forests import Forest
 from mapdata.generators.generator import (
@@ -17,11 +17,13 @@ from mapdata.generators.points import draw_points, largest_component, with_seed_
 from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe, generate
 from mapdata.generators.rooms import MapSpec
 from mapdata.generators.splits import draw_splits, maps_of_split, split_thresholds
+from mapdata.generators.terrain import Terrain
 
 register(MapSpec, rooms.PRESETS)
 register(Maze, mazes.PRESETS)
 register(Cave, caves.PRESETS)
 register(Forest, forests.PRESETS)
+register(Terrain, terrain.PRESETS)
 
 __all__ = [
     "GENERATORS",
@@ -35,6 +37,7 @@ __all__ = [
     "Maze",
     "Recipe",
     "RecipeLike",
+    "Terrain",
     "UnknownFamily",
     "as_recipe",
     "draw_points",

@@ -25,7 +25,7 @@ from mapdata.checks import (
 )
 from mapdata.generators.maps import Maps
 from mapdata.hashing import canonical_json, json_hash, parsed_json
-from mapdata.limits import MAX_ROOMS, Size, min_version
+from mapdata.limits import MAX_ROOMS, TERRAIN_VERSION, Size, min_version
 from mapdata.movement import Movement
 
 G = TypeVar("G", bound="MapGenerator")
@@ -106,8 +106,15 @@ class MapGenerator(ABC):
         """
 
     @property
+    def has_terrain(self) -> bool:
+        """Whether the maps have terrain: the cells of `Maps.terrain` have costs of their own."""
+        return False
+
+    @property
     def format_version(self) -> int:
         """The lowest version of the format that can store maps of this generator."""
+        if self.has_terrain:
+            return TERRAIN_VERSION
         return min_version(self.map_size) if self.name == _ROOMS else 2
 
     def to_dict(self) -> dict[str, Any]:

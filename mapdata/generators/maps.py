@@ -35,6 +35,8 @@ class Maps:
         directions: (N, R - 1, 2) int64, direction of each passage at its first and at its second
             room: 1 horizontal, 0 vertical, -1 no passage.
         split: (N,) uint8, 0 train, 1 val, 2 test.
+        terrain: (N, H, W) uint8, the cost of each cell: 1 to 255 on free cells, 0 on occupied ones;
+            None for maps whose free cells all cost the same.
     """
 
     movement: Movement
@@ -47,6 +49,7 @@ class Maps:
     sizes: Ints
     directions: Ints
     split: Bytes
+    terrain: Bytes | None = None
 
     @staticmethod
     def empty(movement: Movement, map_size: Size, index: Ints, max_rooms: int) -> Maps:

@@ -169,7 +169,7 @@ def _from_mapping(values: Mapping[str, Any]) -> Recipe:
         check_choice("recipe", key, _KEYS)
     version = values.get("format_version", 1)
     if version not in FORMAT_VERSIONS:
-        known_versions = " and ".join(map(str, FORMAT_VERSIONS))
+        known_versions = f"{FORMAT_VERSIONS[0]} to {FORMAT_VERSIONS[-1]}"
         raise ValueError(
             f"recipe: format version {version}, this mapdata {__version__} reads {known_versions}"
         )
@@ -202,7 +202,8 @@ def generate(
 
     Raises:
         ValueError: no recipe; a seed or an index that is not a non-negative integer of 64 (63)
-            bits; a family that draws no seed points, or some outside of the map.
+            bits; a family that draws no seed points, some outside of the map, or terrain that does
+            not fit its maps.
 
     >>> maps = generate("paper", seed=0, indices=range(3))
     >>> maps.occupancy.shape, maps.rooms.tolist()
@@ -213,6 +214,7 @@ def generate(
         indices = range(recipe.maps)
     maps = recipe.generator.draw(recipe.seed, _map_numbers(indices))
     _check_seed_points(recipe.generator, maps)
+    _check_terrain(recipe.generator, maps)
     return maps
 
 
@@ -244,4 +246,22 @@ def _check_seed_points(generator: MapGenerator, maps: Maps) -> None:
         raise ValueError(
             f"{generator.name}: drew seed points outside of a map, none, or not as stated (by "
             "int64)"
+        )
+
+
+def _check_terrain(generator: MapGenerator, maps: Maps) -> None:
+    """Refuse terrain that does not fit the maps, which only a family of a user can draw."""
+    terrain = maps.terrain
+    if (terrain is not None) != generator.has_terrain:
+        raise ValueError(
+            f"{generator.name}: drew {'no ' if terrain is None else ''}terrain, but has_terrain is "
+            f"{generator.has_terrain}"
+        )
+    if terrain is None:
+        return
+    is_array = isinstance(terrain, np.ndarray) and terrain.dtype == np.uint8
+    if not is_array or not np.array_equal(terrain == 0, maps.occupancy):
+        raise ValueError(
+            f"{generator.name}: drew terrain that does not fit its maps, expected (N, H, W) uint8 "
+            "with 0 on occupied cells and on no other"
         )

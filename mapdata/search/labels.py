@@ -91,13 +91,11 @@ class Labels:
         maps: the maps that are labelled.
         bfs: the labels by breadth-first search.
         astar: the labels by A*.
-        on_terrain: whether cells have costs of their own.
     """
 
     maps: Maps
     bfs: RouteLabels
     astar: RouteLabels
-    on_terrain: bool = False
 
     @cached_property
     def reachable(self) -> Flags:
@@ -147,7 +145,7 @@ class Labels:
         first, end = self.maps.pair_offsets[i : i + 2]
         straight, diagonal = self.by_search(search).costs[first:end].T
         costs = straight + diagonal * self.maps.movement.diagonal_cost
-        if self.on_terrain and search == "astar":
+        if self.maps.terrain is not None and search == "astar":
             costs = costs / 2
         upper_triangle = np.zeros((n, n))
         upper_triangle[pairs_of(n)] = np.where(straight < 0, -1.0, costs)
@@ -196,12 +194,7 @@ class _MapBatch(NamedTuple):
     scratch: Scratch
 
 
-def label(
-    maps: Maps,
-    advance: Callable[[int], object] | None = None,
-    *,
-    terrain: Bytes | None = None,
-) -> Labels:
+def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
     """Return routes, iterations and connection matrices of ``maps`` by BFS and by A*.
 
     One breadth-first search from each seed point gives its row of the BFS matrix, its segment and
@@ -212,15 +205,13 @@ def label(
     - With diagonals at sqrt(2), all shortest paths of a pair have the same numbers of straight and
       of diagonal moves, so one search from a room gives its costs if there are three or more.
     - Otherwise A* searches each pair.
-    - On terrain, one search from a room gives its costs.
+    - On terrain, one search from a room gives its costs. BFS counts moves there, too.
 
     Source: arXiv 2110.13242, section 4 (Characterization).
 
     Args:
-        maps: the maps to label.
+        maps: the maps to label, with their terrain if they have any.
         advance: called with the number of maps labelled since its last call.
-        terrain: (N, H, W) uint8, 0 on occupied cells and 1 to 255, the cost of a cell, on free
-            ones. BFS counts moves, so it changes only what A* finds.
 
     Raises:
         ValueError: a seed point that is not a free cell of its map; terrain that does not fit the
@@ -232,6 +223,9 @@ def label(
     array([[ 0., 39.],
            [39.,  0.]])
     """
+    terrain = maps.terrain
+    if terrain is not None and len(terrain) != len(maps):
+        raise ValueError(f"terrain: got {len(terrain)} maps, expected {len(maps)}")
     bfs_table = np.empty((maps.segment_offsets[-1], 2), np.int64)
     bfs_costs = np.empty((maps.pair_offsets[-1], 2), np.int64)
     astar_table = np.empty_like(bfs_table)
@@ -240,8 +234,6 @@ def label(
     has_diagonals = maps.movement.connectivity == 8
     has_astar_costs = has_diagonals or terrain is not None
     astar_costs = np.empty_like(bfs_costs) if has_astar_costs else None
-    if terrain is not None and len(terrain) != len(maps):
-        raise ValueError(f"terrain: got {len(terrain)} maps, expected {len(maps)}")
     size = maps.packed.shape[1], maps.columns
     lattice = plain_lattice(size, move_rule(maps.movement))
     scratch = plain_new_scratch(lattice)
@@ -302,7 +294,7 @@ def label(
         astar_costs = bfs_costs.copy()
     bfs = _route_labels(np.concatenate(bfs_moves), bfs_table, bfs_costs)
     astar = _route_labels(np.concatenate(astar_moves), astar_table, astar_costs)
-    return Labels(maps, bfs, astar, terrain is not None)
+    return Labels(maps, bfs, astar)
 
 
 def _padded_cells(seed_points: Ints, size: tuple[int, int], lattice: Lattice) -> Ints:

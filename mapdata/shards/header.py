@@ -29,7 +29,7 @@ def check_version(
         error_type: class of the error that is raised.
     """
     if version not in FORMAT_VERSIONS:
-        known = " and ".join(str(known_version) for known_version in FORMAT_VERSIONS)
+        known = f"{FORMAT_VERSIONS[0]} to {FORMAT_VERSIONS[-1]}"
         raise error_type(
             f"{prefix}format version {version}, this mapdata {__version__} reads {known}"
         )

@@ -400,7 +400,7 @@ attribute("no-seed", "attribute.*'seed'", seed=None)
 # the format and its version
 attribute("another-format", "not a mapdata shard", format="mapdata2")
 attribute("format-a-number", "not a mapdata shard|attribute", format=1)
-attribute("newer-version", r"format version 3, this mapdata [\d.]+ reads 1 and 2", format_version=3)
+attribute("newer-version", r"format version 4, this mapdata [\d.]+ reads 1 to 3", format_version=4)
 attribute("version-2", "format version 2, but its spec is of version 1", format_version=2)
 attribute("version-0", "format version 0, .* reads 1", format_version=0)
 attribute("version-a-text", ODD, format_version="one")

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from math import isqrt, sqrt
 from typing import Any, NamedTuple, TypeAlias
@@ -607,7 +608,7 @@ def labelled_maps(movement: Movement) -> tuple[Maps, Bytes]:
 def test_labels_on_terrain_equal_the_reference(movement: Movement) -> None:
     """Routes, iterations and connection matrices by A*; by BFS they are those without terrain."""
     maps, terrain = labelled_maps(movement)
-    labels = label(maps, terrain=terrain)
+    labels = label(replace(maps, terrain=terrain))
     without = label(maps)
     for i in range(len(maps)):
         grid = maps.occupancy[i].tolist()
@@ -628,7 +629,7 @@ def test_labels_on_terrain_equal_the_reference(movement: Movement) -> None:
 def test_labels_on_terrain_of_ones_are_those_without_terrain(movement: Movement) -> None:
     """The same moves, iterations and matrices."""
     maps, terrain = labelled_maps(movement)
-    labels = label(maps, terrain=(terrain > 0).astype(np.uint8))
+    labels = label(replace(maps, terrain=(terrain > 0).astype(np.uint8)))
     without = label(maps)
     np.testing.assert_array_equal(labels.astar.moves, without.astar.moves)
     np.testing.assert_array_equal(labels.astar.offsets, without.astar.offsets)
@@ -641,9 +642,9 @@ def test_labels_refuse_terrain_that_does_not_fit() -> None:
     """Another number of maps, or a cell on which maps and terrain disagree."""
     maps, terrain = labelled_maps(OCTILE)
     with pytest.raises(ValueError, match="terrain: got 11 maps, expected 12"):
-        label(maps, terrain=terrain[1:])
+        label(replace(maps, terrain=terrain[1:]))
     with pytest.raises(ValueError, match=r"terrain: got 1 at \(0, "):
-        label(maps, terrain=np.ones_like(terrain))
+        label(replace(maps, terrain=np.ones_like(terrain)))
 
 
 def test_labels_name_the_map_whose_costs_are_too_high() -> None:
@@ -655,4 +656,4 @@ def test_labels_name_the_map_whose_costs_are_too_high() -> None:
     terrain[0, 0, 1000] = 0  # so that no cost of map 41 is high
     maps.packed[:] = pack((terrain == 0).astype(np.uint8))
     with pytest.raises(ValueError, match="map 57: terrain: a path costs 1,048,815"):
-        label(maps, terrain=terrain)
+        label(replace(maps, terrain=terrain))

@@ -651,7 +651,7 @@ def test_bad_arguments_are_named(culprit: str, arguments: dict[str, Any], root: 
         ('{"maps": 0}', "maps: got 0"),
         ('{"maps": "many"}', "maps: got 'many'"),
         ('{"seed": -1}', "seed: got -1"),
-        ('{"format_version": 3}', "format version 3, this mapdata 0.1.0 reads 1 and 2"),
+        ('{"format_version": 4}', "format version 4, this mapdata 0.1.0 reads 1 to 3"),
         ('{"spec": {"rooms": [5, 2]}}', "rooms"),
         ('{"spec": {"wings": 2}}', "unknown key: wings"),
         ('{"spec": {}, "identity": "' + "0" * 64 + '"}', "identity"),
