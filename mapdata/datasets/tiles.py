@@ -1,0 +1,409 @@
+"""Pictures of maps: `draw_tiles` draws a small texture for each cell, by the cost of the cell.
+
+A cost has three digits in base 11. Each digit chooses one of 11 patterns: the lowest digit that of
+brightness, the middle digit that of red against green, the highest digit that of yellow against
+blue. So all 256 costs look different, and neighbouring costs differ in brightness.
+
+A tile is copied from a bank, which has `TEXTURES` textures for each cost, with random phase,
+direction and scale. The symmetries of a square move a pattern, but do not turn it into another one.
+All textures have the same brightnesses in another order: a pattern only ranks the pixels. So the
+mean colour of a texture is its ground colour exactly. All numbers are integers.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from threading import Lock
+
+import numpy as np
+import numpy.typing as npt
+
+from mapdata.arrays import Bytes, Ints
+from mapdata.jit import Int, inlined, kernel
+from mapdata.rng import IMAGE, block, bounded
+
+TEXTURES = 1024
+"""Number of textures of each cost."""
+
+_TILE, _TEXTURE, _TINT = range(3)
+"""The epochs of random words: tiles of maps, textures and tints have words of their own."""
+
+_BASE = 11
+"""Base of the digits of a cost, and number of patterns."""
+
+_SIDE = 128
+"""Side of a tile in the units of patterns, whatever its number of pixels."""
+
+_FINE = (40, 48)
+_COARSE = (72, 88)
+"""Shortest and longest period of fine and of coarse patterns, in units."""
+
+_FINE_PATTERNS = (4, 5, 7, 9, 10)
+
+_MAX_PHASE = 1023
+
+_LATTICE = 8
+"""Rows and columns of the random bytes of blobs and speckles."""
+
+_GRAIN = 48
+"""Height of the grain that roughens a pattern of height 256."""
+
+_AMPLITUDES = (28, 10, 10)
+_ALIKE_AMPLITUDES = (44, 16, 16)
+"""Highest levels of brightness, of red against green, and of yellow against blue."""
+
+_ALIKE_COLOUR = (124, 118, 106)
+"""Mean colour of all tiles that look alike."""
+
+_OCCUPIED_COLOUR = (44, 42, 50)
+
+_COLOURS = (
+    (122, 122, 130),  # rock
+    (134, 182, 84),  # grass
+    (218, 196, 138),  # sand
+    (74, 124, 190),  # water
+    (58, 104, 64),  # forest
+    (142, 100, 64),  # earth
+    (150, 112, 164),  # heath
+    (206, 124, 70),  # clay
+    (190, 186, 180),  # paving
+    (76, 146, 136),  # swamp
+    (164, 64, 66),  # lava
+)
+"""Mean colours by the lowest digit of a cost."""
+
+_SHIFTS = (0, 18, -18)
+"""What the higher digits of a cost, in base 3, add to the channels of its colour."""
+
+_MAX_TINT = 8
+"""By how much the channels of the mean colour of a texture differ from the ground at most."""
+
+_STEP = np.uint64(0x9E3779B97F4A7C15)
+"""Distance of the states of splitmix64."""
+
+
+@inlined
+def _wave(position: Int, period: Int) -> Int:
+    """Return a triangular wave of height 256 at a position."""
+    phase = (position % period) * 512 // period
+    return phase if phase <= 256 else 512 - phase
+
+
+@kernel
+def _height(digit: Int, u: Int, v: Int, period: Int, offset: Int, lattice: Ints) -> Int:
+    """Return the height of a pattern, 0 to 256, at a point of a tile.
+
+    Args:
+        digit: number of the pattern, 0 to 10.
+        u: first coordinate, in units.
+        v: second coordinate, in units.
+        period: distance of the waves, in units.
+        offset: added to the second of two waves, whose first is moved by ``u``.
+        lattice: (64,) random bytes.
+    """
+    # 5 / 7 is close to 1 / sqrt(2), and 4 / 9 to 1 / sqrt(5): waves in these directions have the
+    # same period.
+    diagonal = (u + v) * 5 // 7
+    antidiagonal = (u - v) * 5 // 7 + offset
+    if digit in (3, 5):  # stripes along an axis
+        return _wave(u, period)
+    if digit in (6, 7):  # diagonal stripes
+        return _wave(diagonal, period)
+    if digit == 9:  # stripes between an axis and a diagonal
+        return _wave((2 * u + v) * 4 // 9, period)
+    if digit in (2, 4):  # checks
+        product = (_wave(u, period) - 128) * (_wave(v + offset, period) - 128)
+        return 128 + product // 128
+    if digit in (8, 10):  # checks that stand on a corner
+        product = (_wave(diagonal, period) - 128) * (_wave(antidiagonal, period) - 128)
+        return 128 + product // 128
+    if digit == 1:  # speckles
+        return lattice[(u // 16) % _LATTICE * _LATTICE + (v // 16) % _LATTICE]
+    # Blobs: random heights, a period apart, and linear in between.
+    row, down = divmod(u, period)
+    column, right = divmod(v, period)
+    row %= _LATTICE
+    column %= _LATTICE
+    next_row = (row + 1) % _LATTICE
+    next_column = (column + 1) % _LATTICE
+    upper = (
+        lattice[row * _LATTICE + column] * (period - right)
+        + lattice[row * _LATTICE + next_column] * right
+    )
+    lower = (
+        lattice[next_row * _LATTICE + column] * (period - right)
+        + lattice[next_row * _LATTICE + next_column] * right
+    )
+    return (upper * (period - down) + lower * down) // (period * period)
+
+
+@kernel
+def _draw_bytes(seed: np.uint64, index: np.uint64, number: Int, random_bytes: Ints) -> Int:
+    """Fill an array with random bytes, and return the number of the next block of words."""
+    for i in range(0, len(random_bytes), 16):
+        words = block(seed, index, _TEXTURE, IMAGE, number)
+        number += 1
+        for j in range(min(16, len(random_bytes) - i)):
+            random_bytes[i + j] = (words[j // 4] >> np.uint64(8 * (j % 4))) & np.uint64(255)
+    return number
+
+
+@kernel
+def _draw_heights(seed: np.uint64, cost: Int, pixels: Int) -> Ints:
+    """Return the heights of the pixels of all textures of a cost.
+
+    Returns:
+        (TEXTURES, 3, pixels * pixels) int64: the heights of the patterns of the three digits.
+    """
+    heights = np.empty((TEXTURES, 3, pixels * pixels), np.int64)
+    lattice = np.empty(_LATTICE * _LATTICE, np.int64)
+    grain = np.empty(pixels * pixels, np.int64)
+    for texture in range(TEXTURES):
+        index = np.uint64(cost * TEXTURES + texture)
+        number = 0
+        higher_digits = cost
+        for axis in range(3):
+            digit = higher_digits % _BASE
+            higher_digits //= _BASE
+            words = block(seed, index, _TEXTURE, IMAGE, number)
+            min_period, max_period = _FINE if digit in _FINE_PATTERNS else _COARSE
+            period = bounded(words[0], min_period, max_period)
+            phase = bounded(words[1], 0, _MAX_PHASE)
+            offset = bounded(words[2], 0, _MAX_PHASE)
+            direction = bounded(words[3], 0, 7)
+            number = _draw_bytes(seed, index, number + 1, lattice)
+            number = _draw_bytes(seed, index, number, grain)
+            for row in range(pixels):
+                for column in range(pixels):
+                    # The middle of the pixel, after a symmetry of the square.
+                    u = (2 * row + 1) * _SIDE // (2 * pixels)
+                    v = (2 * column + 1) * _SIDE // (2 * pixels)
+                    if direction & 1:
+                        u = _SIDE - u
+                    if direction & 2:
+                        v = _SIDE - v
+                    if direction & 4:
+                        u, v = v, u
+                    height = _height(digit, u + phase, v, period, offset, lattice)
+                    pixel = row * pixels + column
+                    heights[texture, axis, pixel] = 256 * height + _GRAIN * grain[pixel]
+    return heights
+
+
+def _levels_of_ranks(heights: Ints, amplitude: int) -> Ints:
+    """Return levels from -``amplitude`` to ``amplitude``, in the order of the heights.
+
+    The sum of the levels of a texture is 0 and their distribution uniform, whatever its pattern.
+
+    Args:
+        heights: (N, pixels * pixels).
+        amplitude: the highest level.
+    """
+    count = heights.shape[1]
+    # Twice the distance of a rank from the middle rank, so that it is a whole number.
+    distances = 2 * np.arange(count) - (count - 1)
+    levels_of_ranks = np.sign(distances) * (
+        (2 * amplitude * abs(distances) + count - 1) // (2 * (count - 1))
+    )
+    levels = np.empty_like(heights)
+    order = np.argsort(heights, axis=1, kind="stable")
+    np.put_along_axis(levels, order, np.broadcast_to(levels_of_ranks, order.shape), axis=1)
+    return levels
+
+
+def _ground_colour(cost: int) -> tuple[int, int, int]:
+    """Return the mean (red, green, blue) of the tiles of a cost, unless all costs look alike."""
+    if cost == 0:
+        return _OCCUPIED_COLOUR
+    number, digit = divmod(cost, _BASE)
+    red, green, blue = _COLOURS[digit]
+    return (
+        red + _SHIFTS[number % 3],
+        green + _SHIFTS[number // 3 % 3],
+        blue + _SHIFTS[number // 9],
+    )
+
+
+@kernel
+def _draw_tints(seed: np.uint64) -> Ints:
+    """Return (TEXTURES, 3) int64, by how much the mean colours of textures differ from the ground.
+
+    They are the same for all costs, so that they do not tell which cost a tile has.
+    """
+    tints = np.empty((TEXTURES, 3), np.int64)
+    for texture in range(TEXTURES):
+        words = block(seed, np.uint64(texture), _TINT, IMAGE, 0)
+        for channel in range(3):
+            tints[texture, channel] = bounded(words[channel], -_MAX_TINT, _MAX_TINT)
+    return tints
+
+
+def draw_textures(cost: int, pixels: int, alike: bool, seed: int) -> Bytes:
+    """Return the textures of a cost, (TEXTURES, 3, pixels, pixels) uint8.
+
+    Args:
+        cost: 0 for an occupied cell, otherwise 1 to 255.
+        pixels: rows and columns of a texture.
+        alike: whether all costs have the same mean colours.
+        seed: key of the random words.
+    """
+    heights = _draw_heights(np.uint64(seed), cost, pixels)
+    amplitudes = _ALIKE_AMPLITUDES if alike else _AMPLITUDES
+    brightness, red_green, yellow_blue = (
+        _levels_of_ranks(heights[:, axis], amplitudes[axis]) for axis in range(3)
+    )
+    levels = np.stack(
+        (
+            brightness + red_green + yellow_blue,
+            brightness - red_green + yellow_blue,
+            brightness - yellow_blue,
+        ),
+        axis=1,
+    )
+    ground = _ALIKE_COLOUR if alike else _ground_colour(cost)
+    levels += (np.array(ground) + _draw_tints(np.uint64(seed)))[:, :, None]
+    return levels.clip(0, 255).astype(np.uint8).reshape(TEXTURES, 3, pixels, pixels)
+
+
+class _Bank:
+    """The textures of the costs that have occurred so far, for some pixels, mode and seed.
+
+    A texture is a row of bytes, filled up to a multiple of 8, because noise is drawn for 8 pixels
+    at once.
+
+    Attributes:
+        textures: (S, TEXTURES, bytes) uint8; S grows.
+        slots: (256,) int64, where the textures of a cost are, -1 if they have not been drawn.
+    """
+
+    def __init__(self, pixels: int, alike: bool, seed: int) -> None:
+        """Begin without textures."""
+        self._pixels = pixels
+        self._alike = alike
+        self._seed = seed
+        self._lock = Lock()
+        self._count = 0
+        size = 3 * pixels * pixels
+        self.textures = np.zeros((4, TEXTURES, size + -size % 8), np.uint8)
+        self.slots = np.full(256, -1)
+
+    def with_costs(self, terrain: Bytes) -> tuple[Bytes, Ints]:
+        """Return ``textures`` and ``slots`` after the costs of ``terrain`` have been added."""
+        is_used = np.bincount(terrain.reshape(-1), minlength=256) > 0
+        with self._lock:
+            for cost in np.flatnonzero(is_used & (self.slots < 0)).tolist():
+                if self._count == len(self.textures):
+                    # The room doubles, so that it is copied a few times in all.
+                    self.textures = np.concatenate((self.textures, np.zeros_like(self.textures)))
+                drawn = draw_textures(cost, self._pixels, self._alike, self._seed)
+                drawn = drawn.reshape(TEXTURES, -1)
+                self.textures[self._count, :, : drawn.shape[1]] = drawn
+                self.slots[cost] = self._count
+                self._count += 1
+            return self.textures, self.slots
+
+
+@lru_cache(maxsize=8)
+def _bank(pixels: int, alike: bool, seed: int) -> _Bank:
+    """Return the bank of this process for some options."""
+    return _Bank(pixels, alike, seed)
+
+
+@lru_cache(maxsize=8)
+def _noise_levels(noise: int) -> npt.NDArray[np.int16]:
+    """Return 256 equally probable levels of noise, whose standard deviation is ``noise``.
+
+    They are quantiles of the sum of four random bytes, which is close to a normal distribution.
+    """
+    counts = np.ones(1, np.int64)
+    for _ in range(4):
+        counts = np.convolve(counts, np.ones(256, np.int64))
+    middle = len(counts) // 2
+    # The quantiles above the middle; those below are their mirror images.
+    targets = (2 * np.arange(128, 256) + 1) * 2**23
+    upper = np.searchsorted(np.cumsum(counts), targets) - middle
+    deviation = math.isqrt(int((upper * upper).sum()) * 2**20 // 128)  # times 2**10
+    levels = (2 * noise * upper * 2**10 + deviation) // (2 * deviation)
+    return np.concatenate((-levels[::-1], levels)).astype(np.int16)
+
+
+@inlined
+def _next_noise_bits(state: np.uint64) -> np.uint64:
+    """Return the 64 random bits of a state of splitmix64, whose states are `_STEP` apart.
+
+    Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014,
+    https://doi.org/10.1145/2660193.2660195.
+    """
+    state = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    state = (state ^ (state >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return state ^ (state >> np.uint64(31))
+
+
+@kernel
+def _copy_tiles(
+    terrain: Bytes,
+    map_numbers: Ints,
+    seed: np.uint64,
+    textures: Bytes,
+    slots: Ints,
+    noise_levels: npt.NDArray[np.int16],
+    pictures: Bytes,
+) -> None:
+    """Fill pictures, (B, 3, pixels * H, pixels * W), with textures of the bank.
+
+    Args:
+        terrain: (B, H, W).
+        map_numbers: (B,).
+        seed: key of the random words.
+        textures: of the bank.
+        slots: of the bank.
+        noise_levels: (256,), or empty without noise.
+        pictures: are filled.
+    """
+    maps, rows, columns = terrain.shape
+    pixels = pictures.shape[2] // rows
+    noisy = np.empty(textures.shape[2], np.uint8)
+    for b in range(maps):
+        for row in range(rows):
+            for column in range(columns):
+                words = block(seed, np.uint64(map_numbers[b]), _TILE, IMAGE, row * columns + column)
+                texture = bounded(words[0], 0, TEXTURES - 1)
+                tile = textures[slots[terrain[b, row, column]], texture]
+                if len(noise_levels) > 0:
+                    state = words[1] | (words[2] << np.uint64(32))
+                    for first in range(0, len(tile), 8):
+                        state += _STEP
+                        bits = _next_noise_bits(state)
+                        for i in range(8):
+                            level = tile[first + i] + noise_levels[bits & np.uint64(255)]
+                            noisy[first + i] = min(max(level, 0), 255)
+                            bits >>= np.uint64(8)
+                    tile = noisy
+                for channel in range(3):
+                    for pixel_row in range(pixels):
+                        first = (channel * pixels + pixel_row) * pixels
+                        line = pictures[b, channel, row * pixels + pixel_row]
+                        for i in range(pixels):
+                            line[column * pixels + i] = tile[first + i]
+
+
+def draw_tiles(
+    terrain: Bytes, map_numbers: Ints, pixels: int, alike: bool, noise: int, seed: int
+) -> Bytes:
+    """Return pictures of maps, (B, 3, pixels * H, pixels * W) uint8.
+
+    Args:
+        terrain: (B, H, W) uint8, 0 occupied, otherwise the cost of a cell.
+        map_numbers: (B,) numbers of the maps, which choose the textures.
+        pixels: rows and columns of a tile.
+        alike: whether all costs have the same mean colours.
+        noise: standard deviation of the noise of a pixel.
+        seed: key of the random words.
+    """
+    maps, rows, columns = terrain.shape
+    pictures = np.empty((maps, 3, rows * pixels, columns * pixels), np.uint8)
+    textures, slots = _bank(pixels, alike, seed).with_costs(terrain)
+    noise_levels = _noise_levels(noise) if noise else np.empty(0, np.int16)
+    _copy_tiles(terrain, map_numbers, np.uint64(seed), textures, slots, noise_levels, pictures)
+    return pictures
