@@ -235,9 +235,12 @@ def confidence_intervals(
 def to_text(table: pd.DataFrame) -> str:
     """Return a table of `evaluate` as text: a block of all problems, and a block of the hard ones.
 
-    Each metric is followed by half the width of its interval.
+    Each metric is followed by half the width of its interval. On terrain the second block is left
+    out if all problems are hard, because it would repeat the first one.
     """
     blocks = []
+    if "regret" in table and table["n"].nunique() == 1:
+        table = table[table["subset"] == "all"]
     for subset, rows in table.groupby("subset", sort=False):
         text = pd.DataFrame({"planner": rows["planner"]})
         for metric in METRICS:

@@ -516,28 +516,16 @@ def _sample_until(
     if min_clearance > 0:
         inflation = math.sqrt(min_clearance) / 2  # `min_clearance` is in half cells, squared
         description += f", inflated by {inflation:.3g} cells"
+    # The maps of a source all have terrain, or none has.
+    terrains = [part.terrain for part in parts if part.terrain is not None]
     return ProblemSet(
         np.concatenate([part.grids for part in parts]),
         np.concatenate([part.starts for part in parts]),
         np.concatenate([part.goals for part in parts]),
         movement,
         description,
-        _joined_terrain([part.terrain for part in parts], source),
+        np.concatenate(terrains) if terrains else None,
     )
-
-
-def _joined_terrain(terrains: Sequence[Bytes | None], source: str) -> Bytes | None:
-    """Return the terrain of all parts, (N, H, W), or None if none of them has terrain.
-
-    Raises:
-        ValueError: only some of them have terrain.
-    """
-    parts_with_terrain = [terrain for terrain in terrains if terrain is not None]
-    if not parts_with_terrain:
-        return None
-    if len(parts_with_terrain) < len(terrains):
-        raise ValueError(f"{source}: only some of the maps have terrain, expected all or none")
-    return np.concatenate(parts_with_terrain)
 
 
 def _sample_on(

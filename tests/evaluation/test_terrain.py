@@ -275,7 +275,11 @@ def test_the_table_of_classical_planners_on_terrain(movement: Movement) -> None:
         assert row(table, name)["regret_low"] > 0.1
     assert (table["success"] == 1).all()
     assert "jump point search" not in set(table["planner"])
-    assert "regret" in to_text(table)
+    text = to_text(table)
+    assert "regret" in text
+    # All problems are hard, so that a second block would repeat the first one.
+    assert row(table, "A*", "hard")["n"] == len(problems)
+    assert "hard" not in text
 
 
 def test_the_scores_on_terrain_by_hand() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from helpers import reference
 
-from mapdata import PRESETS, ProblemSet, Random, astar, generate
+from mapdata import PRESETS, ProblemSet, Random, Terrain, astar, build, generate
 from mapdata.arrays import Bytes
 from mapdata.movement import Movement
 from mapdata.problems import HARD
@@ -138,6 +138,23 @@ def test_problems_on_routes_of_terrain_join_seed_points() -> None:
             gaps.add(points.index(goal.tolist()) - points.index(start.tolist()))
         assert min(gaps) >= 1
         assert max(gaps) <= max_gap
+
+
+def test_the_problems_of_tiles_lead_from_corner_to_corner() -> None:
+    """The task of the Warcraft sets: the upper left and the lower right corner of each map."""
+    movement = PRESETS["tiles"].movement
+    problems = ProblemSet.sample("tiles", 0, 5, problems="route", movement=movement)
+    assert problems.starts.tolist() == [[0, 0]] * 5
+    assert problems.goals.tolist() == [[11, 11]] * 5
+
+
+def test_costs_that_are_too_high_are_refused_by_the_number_of_the_map() -> None:
+    """As in a search, for random problems and for routes."""
+    long_maze = replace(PRESETS["maze"], map_size=(511, 511))
+    generator = Terrain(over=long_maze, costs=(255,))
+    for source in ("route", "random"):
+        with pytest.raises(ValueError, match=r"map 0: terrain: a path costs .*, and costs are"):
+            ProblemSet.sample(generator, 0, 1, problems=source, movement=Movement(8))
 
 
 def small_set() -> ProblemSet:
@@ -275,3 +292,23 @@ def test_terrain_that_all_problems_share_is_kept_once() -> None:
     assert mixed.map_count == count
     assert mixed.optimal.cost.tolist() == [10 * (4 + k) for k in range(count)]
     assert pickle.loads(pickle.dumps(mixed)).content_hash == mixed.content_hash
+
+
+def test_a_stored_dataset_gives_the_problems_of_its_generator(tmp_path: Path) -> None:
+    """On the maps of its test split, with their terrain and seed points."""
+    build(tmp_path, SMALL, maps=90, seed=9, shard_size=40, workers=1)
+    for source in ("route", Random(distance=(20, None), length=(6, None))):
+        expected = ProblemSet.sample(SMALL, 9, 90, problems=source, movement=Movement(8))
+        stored = ProblemSet.read(tmp_path, problems=source, movement=Movement(8))
+        assert 3 < len(stored) < len(expected)
+        assert stored.terrain is not None
+        assert expected.terrain is not None
+        of_generator = {
+            (terrain.tobytes(), *start.tolist(), *goal.tolist())
+            for terrain, start, goal in zip(
+                expected.terrain, expected.starts, expected.goals, strict=True
+            )
+        }
+        for terrain, start, goal in zip(stored.terrain, stored.starts, stored.goals, strict=True):
+            assert (terrain.tobytes(), *start.tolist(), *goal.tolist()) in of_generator
+        np.testing.assert_array_equal(stored.grids, stored.terrain == 0)
