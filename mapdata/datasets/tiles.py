@@ -26,8 +26,8 @@ from mapdata.rng import IMAGE, block, bounded
 TEXTURES = 1024
 """Number of textures of each cost."""
 
-_TILE, _TEXTURE, _TINT = range(3)
-"""The epochs of random words: tiles of maps, textures and tints have words of their own."""
+_TILE, _NOISE_RUN, _TEXTURE, _TINT, _NOISE = range(5)
+"""The epochs of random words: each purpose has words of its own."""
 
 _BASE = 11
 """Base of the digits of a cost, and number of patterns."""
@@ -49,8 +49,8 @@ _LATTICE = 8
 _GRAIN = 48
 """Height of the grain that roughens a pattern of height 256."""
 
-_AMPLITUDES = (28, 10, 10)
-_ALIKE_AMPLITUDES = (44, 16, 16)
+_AMPLITUDES = (26, 5, 5)
+_ALIKE_AMPLITUDES = (44, 12, 12)
 """Highest levels of brightness, of red against green, and of yellow against blue."""
 
 _ALIKE_COLOUR = (124, 118, 106)
@@ -79,8 +79,11 @@ _SHIFTS = (0, 18, -18)
 _MAX_TINT = 8
 """By how much the channels of the mean colour of a texture differ from the ground at most."""
 
-_STEP = np.uint64(0x9E3779B97F4A7C15)
-"""Distance of the states of splitmix64."""
+_NOISE_COUNT = 2**18
+"""Number of levels in the bank of noise."""
+
+_NOISE_UNIT = 8
+"""The bank of noise holds eighths of grey levels."""
 
 
 @inlined
@@ -139,10 +142,12 @@ def _height(digit: Int, u: Int, v: Int, period: Int, offset: Int, lattice: Ints)
 
 
 @kernel
-def _draw_bytes(seed: np.uint64, index: np.uint64, number: Int, random_bytes: Ints) -> Int:
+def _draw_bytes(
+    seed: np.uint64, index: np.uint64, epoch: Int, number: Int, random_bytes: Ints
+) -> Int:
     """Fill an array with random bytes, and return the number of the next block of words."""
     for i in range(0, len(random_bytes), 16):
-        words = block(seed, index, _TEXTURE, IMAGE, number)
+        words = block(seed, index, epoch, IMAGE, number)
         number += 1
         for j in range(min(16, len(random_bytes) - i)):
             random_bytes[i + j] = (words[j // 4] >> np.uint64(8 * (j % 4))) & np.uint64(255)
@@ -172,8 +177,8 @@ def _draw_heights(seed: np.uint64, cost: Int, pixels: Int) -> Ints:
             phase = bounded(words[1], 0, _MAX_PHASE)
             offset = bounded(words[2], 0, _MAX_PHASE)
             direction = bounded(words[3], 0, 7)
-            number = _draw_bytes(seed, index, number + 1, lattice)
-            number = _draw_bytes(seed, index, number, grain)
+            number = _draw_bytes(seed, index, _TEXTURE, number + 1, lattice)
+            number = _draw_bytes(seed, index, _TEXTURE, number, grain)
             for row in range(pixels):
                 for column in range(pixels):
                     # The middle of the pixel, after a symmetry of the square.
@@ -269,11 +274,8 @@ def draw_textures(cost: int, pixels: int, alike: bool, seed: int) -> Bytes:
 class _Bank:
     """The textures of the costs that have occurred so far, for some pixels, mode and seed.
 
-    A texture is a row of bytes, filled up to a multiple of 8, because noise is drawn for 8 pixels
-    at once.
-
     Attributes:
-        textures: (S, TEXTURES, bytes) uint8; S grows.
+        textures: (S, TEXTURES, 3, pixels, pixels) uint8; S grows.
         slots: (256,) int64, where the textures of a cost are, -1 if they have not been drawn.
     """
 
@@ -284,8 +286,7 @@ class _Bank:
         self._seed = seed
         self._lock = Lock()
         self._count = 0
-        size = 3 * pixels * pixels
-        self.textures = np.zeros((4, TEXTURES, size + -size % 8), np.uint8)
+        self.textures = np.zeros((4, TEXTURES, 3, pixels, pixels), np.uint8)
         self.slots = np.full(256, -1)
 
     def with_costs(self, terrain: Bytes) -> tuple[Bytes, Ints]:
@@ -296,9 +297,9 @@ class _Bank:
                 if self._count == len(self.textures):
                     # The room doubles, so that it is copied a few times in all.
                     self.textures = np.concatenate((self.textures, np.zeros_like(self.textures)))
-                drawn = draw_textures(cost, self._pixels, self._alike, self._seed)
-                drawn = drawn.reshape(TEXTURES, -1)
-                self.textures[self._count, :, : drawn.shape[1]] = drawn
+                self.textures[self._count] = draw_textures(
+                    cost, self._pixels, self._alike, self._seed
+                )
                 self.slots[cost] = self._count
                 self._count += 1
             return self.textures, self.slots
@@ -310,11 +311,11 @@ def _bank(pixels: int, alike: bool, seed: int) -> _Bank:
     return _Bank(pixels, alike, seed)
 
 
-@lru_cache(maxsize=8)
 def _noise_levels(noise: int) -> npt.NDArray[np.int16]:
-    """Return 256 equally probable levels of noise, whose standard deviation is ``noise``.
+    """Return 256 levels of noise, equally probable, in units of `_NOISE_UNIT`.
 
-    They are quantiles of the sum of four random bytes, which is close to a normal distribution.
+    Their standard deviation is ``noise`` / sqrt(2), because two of them are added. They are
+    quantiles of the sum of four random bytes, which is close to a normal distribution.
     """
     counts = np.ones(1, np.int64)
     for _ in range(4):
@@ -323,21 +324,25 @@ def _noise_levels(noise: int) -> npt.NDArray[np.int16]:
     # The quantiles above the middle; those below are their mirror images.
     targets = (2 * np.arange(128, 256) + 1) * 2**23
     upper = np.searchsorted(np.cumsum(counts), targets) - middle
-    deviation = math.isqrt(int((upper * upper).sum()) * 2**20 // 128)  # times 2**10
-    levels = (2 * noise * upper * 2**10 + deviation) // (2 * deviation)
+    # 2**10 times the standard deviation of the quantiles, times sqrt(2).
+    deviation = math.isqrt(2 * int((upper * upper).sum()) * 2**20 // 128)
+    scale = _NOISE_UNIT * noise * 2**10
+    levels = (2 * scale * upper + deviation) // (2 * deviation)
     return np.concatenate((-levels[::-1], levels)).astype(np.int16)
 
 
-@inlined
-def _next_noise_bits(state: np.uint64) -> np.uint64:
-    """Return the 64 random bits of a state of splitmix64, whose states are `_STEP` apart.
+@kernel
+def _draw_noise_bytes(seed: np.uint64) -> Ints:
+    """Return `_NOISE_COUNT` random bytes as int64, of which the noise is made."""
+    random_bytes = np.empty(_NOISE_COUNT, np.int64)
+    _draw_bytes(seed, np.uint64(0), _NOISE, 0, random_bytes)
+    return random_bytes
 
-    Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014,
-    https://doi.org/10.1145/2660193.2660195.
-    """
-    state = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    state = (state ^ (state >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return state ^ (state >> np.uint64(31))
+
+@lru_cache(maxsize=8)
+def _noise_bank(noise: int, seed: int) -> npt.NDArray[np.int16]:
+    """Return (`_NOISE_COUNT`,) levels of noise; they are the same in every process."""
+    return _noise_levels(noise)[_draw_noise_bytes(np.uint64(seed))]
 
 
 @kernel
@@ -347,10 +352,10 @@ def _copy_tiles(
     seed: np.uint64,
     textures: Bytes,
     slots: Ints,
-    noise_levels: npt.NDArray[np.int16],
+    noise_bank: npt.NDArray[np.int16],
     pictures: Bytes,
 ) -> None:
-    """Fill pictures, (B, 3, pixels * H, pixels * W), with textures of the bank.
+    """Fill pictures, (B, 3, pixels * H, pixels * W), with textures of the bank and noise.
 
     Args:
         terrain: (B, H, W).
@@ -358,34 +363,48 @@ def _copy_tiles(
         seed: key of the random words.
         textures: of the bank.
         slots: of the bank.
-        noise_levels: (256,), or empty without noise.
+        noise_bank: levels of noise, or empty for no noise.
         pictures: are filled.
     """
     maps, rows, columns = terrain.shape
-    pixels = pictures.shape[2] // rows
-    noisy = np.empty(textures.shape[2], np.uint8)
+    pixels = textures.shape[3]
+    width = np.uint64(columns * pixels)
+    bank_pixels = textures.reshape(-1)
+    # Where the bank has the first row of pixels of the tiles of a row of cells.
+    sources = np.empty(width, np.uint64)
     for b in range(maps):
+        index = np.uint64(map_numbers[b])
         for row in range(rows):
             for column in range(columns):
-                words = block(seed, np.uint64(map_numbers[b]), _TILE, IMAGE, row * columns + column)
-                texture = bounded(words[0], 0, TEXTURES - 1)
-                tile = textures[slots[terrain[b, row, column]], texture]
-                if len(noise_levels) > 0:
-                    state = words[1] | (words[2] << np.uint64(32))
-                    for first in range(0, len(tile), 8):
-                        state += _STEP
-                        bits = _next_noise_bits(state)
-                        for i in range(8):
-                            level = tile[first + i] + noise_levels[bits & np.uint64(255)]
-                            noisy[first + i] = min(max(level, 0), 255)
-                            bits >>= np.uint64(8)
-                    tile = noisy
-                for channel in range(3):
-                    for pixel_row in range(pixels):
-                        first = (channel * pixels + pixel_row) * pixels
-                        line = pictures[b, channel, row * pixels + pixel_row]
-                        for i in range(pixels):
-                            line[column * pixels + i] = tile[first + i]
+                word, _, _, _ = block(seed, index, _TILE, IMAGE, row * columns + column)
+                texture = bounded(word, 0, TEXTURES - 1)
+                number = slots[terrain[b, row, column]] * TEXTURES + texture
+                for i in range(pixels):
+                    sources[column * pixels + i] = number * 3 * pixels * pixels + i
+            for channel in range(3):
+                for pixel_row in range(pixels):
+                    picture_row = row * pixels + pixel_row
+                    line = pictures[b, channel, picture_row]
+                    source_row = np.uint64((channel * pixels + pixel_row) * pixels)
+                    for x in range(width):
+                        line[x] = bank_pixels[sources[x] + source_row]
+                    if len(noise_bank) > 0:
+                        words = block(seed, index, _NOISE_RUN, IMAGE, 3 * picture_row + channel)
+                        _add_noise(noise_bank, words[0], words[1], line)
+
+
+@inlined
+def _add_noise(
+    noise_bank: npt.NDArray[np.int16], word: np.uint64, other_word: np.uint64, line: Bytes
+) -> None:
+    """Add noise to a row of pixels: the sum of two runs of the bank, which two words choose."""
+    last = len(noise_bank) - len(line)
+    run = np.uint64(bounded(word, 0, last))
+    other_run = np.uint64(bounded(other_word, 0, last))
+    for x in range(np.uint64(len(line))):
+        noise = noise_bank[run + x] + noise_bank[other_run + x]
+        level = np.int16(line[x]) + ((noise + np.int16(_NOISE_UNIT // 2)) // np.int16(_NOISE_UNIT))
+        line[x] = min(max(level, np.int16(0)), np.int16(255))
 
 
 def draw_tiles(
@@ -404,6 +423,6 @@ def draw_tiles(
     maps, rows, columns = terrain.shape
     pictures = np.empty((maps, 3, rows * pixels, columns * pixels), np.uint8)
     textures, slots = _bank(pixels, alike, seed).with_costs(terrain)
-    noise_levels = _noise_levels(noise) if noise else np.empty(0, np.int16)
-    _copy_tiles(terrain, map_numbers, np.uint64(seed), textures, slots, noise_levels, pictures)
+    noise_bank = _noise_bank(noise, seed) if noise else np.empty(0, np.int16)
+    _copy_tiles(terrain, map_numbers, np.uint64(seed), textures, slots, noise_bank, pictures)
     return pictures
