@@ -1,27 +1,42 @@
-"""Pictures of maps: `draw_tiles` draws a small texture for each cell, by the cost of the cell.
+"""The field ``image``: `Tiles` draws pictures of maps, a small texture for each cell.
 
-A cost has three digits in base 11. Each digit chooses one of 11 patterns: the lowest digit that of
-brightness, the middle digit that of red against green, the highest digit that of yellow against
-blue. So all 256 costs look different, and neighbouring costs differ in brightness.
+**The look of a cost** is the same in all datasets. A cost has three digits in base 11. Each digit
+chooses one of 11 patterns: the lowest digit that of brightness, the middle digit that of red
+against green, the highest digit that of yellow against blue. So all 256 costs look different, and
+costs that follow one another differ in brightness. Patterns differ in what the symmetries of a
+square leave unchanged, because the datasets turn and reflect maps.
 
-A tile is copied from a bank, which has `TEXTURES` textures for each cost, with random phase,
-direction and scale. The symmetries of a square move a pattern, but do not turn it into another one.
-All textures have the same brightnesses in another order: a pattern only ranks the pixels. So the
-mean colour of a texture is its ground colour exactly. All numbers are integers.
+**The textures** of a cost have random phases, directions and scales. A pattern only ranks the
+pixels of a texture: all textures have the same brightnesses in another order, around a ground
+colour. So with ``alike``, where the ground colours of all costs are the same, neither the mean
+colour of a texture nor its brightnesses tell anything of its cost.
+
+**A picture** is drawn from the stored map, by copying a texture for each cell from a bank, and
+adding noise from another bank. All numbers are integers and come from `mapdata.rng`, so that a
+picture is the same on every machine.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import lru_cache
 from threading import Lock
+from typing import ClassVar, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from mapdata.arrays import Bytes, Ints
+from mapdata.checks import check_count, check_flag, check_seed
 from mapdata.jit import Int, inlined, kernel
+from mapdata.problems.symmetry import transform_grids
 from mapdata.rng import IMAGE, block, bounded
+
+MIN_PIXELS, MIN_ALIKE_PIXELS, MAX_PIXELS = 4, 8, 32
+"""Limits of the pixels of a tile; tiles of fewer pixels cannot show all patterns."""
+
+MAX_NOISE = 64
 
 TEXTURES = 1024
 """Number of textures of each cost."""
@@ -40,14 +55,17 @@ _COARSE = (72, 88)
 """Shortest and longest period of fine and of coarse patterns, in units."""
 
 _FINE_PATTERNS = (4, 5, 7, 9, 10)
+"""The digits of the fine patterns."""
 
 _MAX_PHASE = 1023
+"""Highest phase of a pattern, in units; it is many periods, so that all phases occur as often."""
 
 _LATTICE = 8
 """Rows and columns of the random bytes of blobs and speckles."""
 
 _GRAIN = 48
-"""Height of the grain that roughens a pattern of height 256."""
+_GRAIN_OF_BLOBS = 12
+"""Height of the grain that roughens a pattern of height 256; blobs are often flatter."""
 
 _AMPLITUDES = (26, 5, 5)
 _ALIKE_AMPLITUDES = (44, 12, 12)
@@ -56,7 +74,7 @@ _ALIKE_AMPLITUDES = (44, 12, 12)
 _ALIKE_COLOUR = (124, 118, 106)
 """Mean colour of all tiles that look alike."""
 
-_OCCUPIED_COLOUR = (44, 42, 50)
+_OCCUPIED_COLOUR = (46, 44, 52)
 
 _COLOURS = (
     (122, 122, 130),  # rock
@@ -102,8 +120,8 @@ def _height(digit: Int, u: Int, v: Int, period: Int, offset: Int, lattice: Ints)
         u: first coordinate, in units.
         v: second coordinate, in units.
         period: distance of the waves, in units.
-        offset: added to the second of two waves, whose first is moved by ``u``.
-        lattice: (64,) random bytes.
+        offset: phase of the second of two waves; that of the first is a part of ``u``.
+        lattice: (64,) random bytes, for speckles and blobs.
     """
     # 5 / 7 is close to 1 / sqrt(2), and 4 / 9 to 1 / sqrt(5): waves in these directions have the
     # same period.
@@ -125,7 +143,7 @@ def _height(digit: Int, u: Int, v: Int, period: Int, offset: Int, lattice: Ints)
         return lattice[(u // 16) % _LATTICE * _LATTICE + (v // 16) % _LATTICE]
     # Blobs: random heights, a period apart, and linear in between.
     row, down = divmod(u, period)
-    column, right = divmod(v, period)
+    column, right = divmod(v + offset, period)
     row %= _LATTICE
     column %= _LATTICE
     next_row = (row + 1) % _LATTICE
@@ -177,6 +195,7 @@ def _draw_heights(seed: np.uint64, cost: Int, pixels: Int) -> Ints:
             phase = bounded(words[1], 0, _MAX_PHASE)
             offset = bounded(words[2], 0, _MAX_PHASE)
             direction = bounded(words[3], 0, 7)
+            grain_height = _GRAIN_OF_BLOBS if digit == 0 else _GRAIN
             number = _draw_bytes(seed, index, _TEXTURE, number + 1, lattice)
             number = _draw_bytes(seed, index, _TEXTURE, number, grain)
             for row in range(pixels):
@@ -192,7 +211,7 @@ def _draw_heights(seed: np.uint64, cost: Int, pixels: Int) -> Ints:
                         u, v = v, u
                     height = _height(digit, u + phase, v, period, offset, lattice)
                     pixel = row * pixels + column
-                    heights[texture, axis, pixel] = 256 * height + _GRAIN * grain[pixel]
+                    heights[texture, axis, pixel] = 256 * height + grain_height * grain[pixel]
     return heights
 
 
@@ -426,3 +445,91 @@ def draw_tiles(
     noise_bank = _noise_bank(noise, seed) if noise else np.empty(0, np.int16)
     _copy_tiles(terrain, map_numbers, np.uint64(seed), textures, slots, noise_bank, pictures)
     return pictures
+
+
+class StoredMaps(Protocol):
+    """What `Tiles` needs of a `Batch`; see there."""
+
+    @property
+    def stored_terrain(self) -> Bytes | None:
+        """(B, H, W) uint8."""
+
+    @property
+    def stored_grids(self) -> Bytes:
+        """(B, H, W) uint8."""
+
+    @property
+    def map_numbers(self) -> Ints:
+        """(B,) int64."""
+
+    @property
+    def symmetries(self) -> Ints:
+        """(B,) int64."""
+
+
+@dataclass(frozen=True)
+class Tiles:
+    """The field ``image``, with options of your own: pictures of the maps.
+
+    It stands among the names in ``fields=``: ``fields=("image", "path", Tiles(noise=10))``.
+
+    Each cell is drawn as a tile by its cost: 0 for an occupied cell, the cost of terrain, or 1 for
+    a free cell of a map without terrain. A cost looks alike in all maps and datasets, but never the
+    same: its texture is chosen at random from `TEXTURES`, by the number of the map and the cell.
+
+    The picture belongs to the stored map. ``augment`` turns and reflects the picture with the map,
+    and a ``radius`` does not change it.
+
+    Attributes:
+        pixels: k, rows and columns of a tile, 4 to 32.
+        alike: whether all costs have the same mean colours, so that only the patterns of the tiles
+            tell them apart; needs at least 8 pixels.
+        noise: standard deviation of the noise that is added to each channel of each pixel, in grey
+            levels of 0 to 255; at most 64.
+        seed: another seed gives other textures of the same looks, and other noise.
+
+    Raises:
+        ValueError: an option out of range.
+    """
+
+    pixels: int = 8
+    alike: bool = False
+    noise: int = 0
+    seed: int = 0
+
+    __name__: ClassVar[str] = "image"
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        check_flag("alike", self.alike)
+        pixels = check_count("pixels", self.pixels)
+        min_pixels = MIN_ALIKE_PIXELS if self.alike else MIN_PIXELS
+        if not min_pixels <= pixels <= MAX_PIXELS:
+            raise ValueError(
+                f"pixels: got {pixels}, expected {min_pixels} to {MAX_PIXELS} rows and columns of "
+                f"a tile{' for alike=True' if self.alike else ''}"
+            )
+        noise = check_count("noise", self.noise, minimum=0)
+        if noise > MAX_NOISE:
+            raise ValueError(f"noise: got {noise}, expected at most {MAX_NOISE} grey levels")
+        object.__setattr__(self, "pixels", pixels)
+        object.__setattr__(self, "noise", noise)
+        object.__setattr__(self, "seed", check_seed(self.seed))
+
+    def __call__(self, batch: StoredMaps) -> Bytes:
+        """Return the pictures, (B, 3, pixels * H, pixels * W) uint8."""
+        terrain = batch.stored_terrain
+        if terrain is None:
+            terrain = batch.stored_grids ^ np.uint8(1)  # A free cell costs 1.
+        pictures = draw_tiles(
+            terrain, batch.map_numbers, self.pixels, self.alike, self.noise, self.seed
+        )
+        return after_symmetries(pictures, batch.symmetries)
+
+
+def after_symmetries(pictures: Bytes, symmetries: Ints) -> Bytes:
+    """Return pictures, (B, 3, rows, columns), after the symmetries of their maps, (B,)."""
+    if not symmetries.any():
+        return pictures
+    channels = pictures.reshape(-1, *pictures.shape[2:])
+    return transform_grids(channels, np.repeat(symmetries, 3)).reshape(pictures.shape)
