@@ -82,12 +82,12 @@ _COLOURS = (
     (218, 196, 138),  # sand
     (74, 124, 190),  # water
     (58, 104, 64),  # forest
-    (142, 100, 64),  # earth
+    (132, 106, 66),  # earth
     (150, 112, 164),  # heath
     (206, 124, 70),  # clay
-    (190, 186, 180),  # paving
+    (178, 184, 196),  # paving
     (76, 146, 136),  # swamp
-    (164, 64, 66),  # lava
+    (176, 52, 60),  # lava
 )
 """Mean colours by the lowest digit of a cost."""
 
