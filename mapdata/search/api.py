@@ -210,9 +210,11 @@ def solve_batch(
     if terrain is not None:
         terrain_stack = _as_terrain_stack(terrain, grid_stack)
         if weights != BFS:
-            return _solve_on_terrain(
-                terrain_stack, start_cells, goal_cells, weights, movement, allow_occupied_ends
+            paths, solved, high_cost = search_terrains(
+                terrain_stack, start_cells, goal_cells, movement, allow_occupied_ends, weights
             )
+            _check_all_solved_on_terrain(solved, high_cost, terrain_stack, start_cells, goal_cells)
+            return paths
     cells, moves, expansions, offsets, solved = solve_problems(
         grid_stack,
         start_cells,
@@ -349,15 +351,29 @@ def _as_terrain_stack(terrain: ArrayLike, grids: Bytes) -> Bytes:
     return as_terrain(array if array.ndim == 3 else array[None], grids)
 
 
-def _solve_on_terrain(
+def search_terrains(
     terrains: Bytes,
     starts: Ints,
     goals: Ints,
-    weights: CostWeights,
     movement: Movement,
     allow_occupied_ends: bool,
-) -> BatchResult:
-    """Solve checked problems on ``terrains``, (B, H, W) or (1, H, W), by a search but BFS."""
+    weights: CostWeights = ASTAR,
+) -> tuple[BatchResult, int, int]:
+    """Solve problems on terrain that is known to fit its grids.
+
+    Args:
+        terrains: (B, H, W), or (1, H, W) for terrain that all problems share.
+        starts: (B, 2) cells.
+        goals: (B, 2) cells.
+        movement: which moves are legal.
+        allow_occupied_ends: whether a start or goal may be occupied, as in `solve_batch`.
+        weights: which search; not BFS.
+
+    Returns:
+        The paths; the number of problems that are solved, less than B if the next one is refused;
+        and why it is refused: 0 if an end is outside or occupied, otherwise the doubled cost that
+        is too high to be exact.
+    """
     rule = move_rule(movement)
     cells, sums, expansions, offsets, solved, high_cost = solve_on_terrain(
         terrains,
@@ -368,8 +384,8 @@ def _solve_on_terrain(
         rule,
         _scratch_memory(terrains, rule),
     )
-    _check_all_solved_on_terrain(solved, high_cost, terrains, starts, goals)
-    return BatchResult(cells, offsets, costs_from_sums(sums, movement), expansions)
+    paths = BatchResult(cells, offsets, costs_from_sums(sums, movement), expansions)
+    return paths, solved, high_cost
 
 
 def _check_all_solved_on_terrain(
