@@ -183,6 +183,17 @@ def test_the_hash_covers_the_terrain() -> None:
     assert replace(problems, description="others").content_hash == golden
 
 
+def test_sampled_sets_on_terrain_have_golden_hashes() -> None:
+    """Sets that planners are compared on stay the same in all later versions."""
+    tiles = ProblemSet.sample("tiles", 0, 20, problems="route", movement=PRESETS["tiles"].movement)
+    golden = "bddd351c219821fdc36f3a208af890b86f2fda06f76b06c67ad6bd7e3a2c4ca1"
+    assert tiles.content_hash == golden
+    conditions = Random(distance=(20, 150), length=(10, None))
+    random = ProblemSet.sample("terrain", 0, 20, problems=conditions, movement=Movement(8))
+    golden = "f1044925eb228f95ffa16acd4745c3b496541a709d9e30d644d9275cff1d5f9c"
+    assert random.content_hash == golden
+
+
 def test_a_saved_set_keeps_its_terrain(tmp_path: Path) -> None:
     """The file holds the terrain in place of the grids, which an older version does not read."""
     problems = small_set()
