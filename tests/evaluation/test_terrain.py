@@ -25,12 +25,14 @@ from mapdata.evaluation import (
     BestFirst,
     GoalFieldAstar,
     JumpPointSearch,
+    Limit,
     Search,
     classical,
     score_paths,
     to_text,
 )
 from mapdata.movement import NEURAL_ASTAR, Movement
+from mapdata.search.api import solve_batch
 
 MOVEMENTS = [
     Movement(),
@@ -123,7 +125,7 @@ def test_best_first_search_on_terrain_equals_the_reference(
 def scipy_cost(terrain: Bytes, start: Cell, goal: Cell, movement: Movement) -> float:
     """Return the least cost on scipy's graph, inf without a path."""
     grid = (terrain == 0).astype(int).tolist()
-    cells = list(map(tuple, np.argwhere(terrain > 0).tolist()))
+    cells = [(row, column) for row, column in np.argwhere(terrain > 0).tolist()]
     number = {cell: k for k, cell in enumerate(cells)}
     edges = []
     for cell in cells:
@@ -194,20 +196,25 @@ def test_weighted_costs_on_terrain_are_bounded(movement: Movement) -> None:
     """The cost is at most max(1, weight) times the optimal one, and more for some problem."""
     problems = tiles(60, movement)
     for weight in (0, 0.5, 1, 2, 5):
-        planner = BestFirst("weighted", movement, weight)
-        plans = planner.plan_batch(
-            problems.grids, problems.starts, problems.goals, problems.terrain
-        )
+        ends = problems.starts, problems.goals
         assert problems.terrain is not None
-        ratios = [
-            check_path(grid, plan.path, movement, terrain=terrain) / cost
-            for grid, plan, terrain, cost in zip(
-                problems.grids, plans, problems.terrain, problems.optimal.cost, strict=True
+        solved = solve_batch(
+            (1, float(weight)), problems.grids, *ends, movement, terrain=problems.terrain
+        )
+        costs = [
+            check_path(grid, solved.cells[first:end], movement, terrain=terrain)
+            for grid, terrain, first, end in zip(
+                problems.grids,
+                problems.terrain,
+                solved.offsets[:-1],
+                solved.offsets[1:],
+                strict=True,
             )
         ]
-        assert max(ratios) <= max(1, weight) + 1e-12
-        if weight <= 1:
-            assert ratios == [1] * len(problems)
+        assert solved.cost.tolist() == costs
+        ratios = costs / problems.optimal.cost
+        assert ratios.max() <= max(1, weight) + 1e-12
+        assert (ratios.max() > 1) == (weight > 1)
 
 
 def test_a_weight_whose_products_do_not_fit_into_64_bits_is_refused() -> None:
@@ -238,17 +245,20 @@ def test_bad_problems_on_terrain_are_refused() -> None:
     """A start on an occupied cell, a goal outside, and terrain that does not fit the grid."""
     terrain = np.array([[1, 0, 3]], np.uint8)
     grid = (terrain == 0).astype(np.uint8)
-    for planner in classical(OCTILE, terrain=True):
-        assert isinstance(planner, Batched)
+    for planner in (
+        Search("A*", OCTILE, "astar"),
+        BestFirst("weighted A*", OCTILE, 2),
+        GoalFieldAstar("exact", OCTILE),
+        Limit("limit", OCTILE),
+    ):
         for start, goal, reason in (
             ((0, 1), (0, 0), "start: .* occupied"),
             ((0, 0), (0, 3), "goal: .* outside"),
         ):
             with pytest.raises(ValueError, match=f"problem 0: {reason}"):
                 planner.plan(grid, start, goal, terrain=terrain)
-        if planner.name != "A* on mean cost":
-            with pytest.raises(ValueError, match="terrain: got 1 at"):
-                planner.plan(grid, (0, 0), (0, 2), terrain=np.ones((1, 3), np.uint8))
+        with pytest.raises(ValueError, match="terrain: got 1 at"):
+            planner.plan(grid, (0, 0), (0, 2), terrain=np.ones((1, 3), np.uint8))
 
 
 # --- the table ----------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ MOVEMENTS = [
     Movement(8, corner_cutting=True, diagonal_cost=1),
 ]
 movements = pytest.mark.parametrize("movement", MOVEMENTS, ids=["4", "8", "cutting", "one"])
-SMALL = replace(PRESETS["terrain"], map_size=(9, 14))
+SMALL = Terrain(map_size=(9, 14))
 
 
 def test_the_costs_on_terrain_are_those_of_single_searches() -> None:
@@ -89,7 +89,7 @@ def test_hardness_on_terrain_is_the_cost_over_the_cheapest_empty_map() -> None:
     terrains = np.stack([terrain, terrain, 2 * terrain - 1])
     starts = np.array([(1, 0), (0, 0), (1, 0)])
     goals = np.array([(1, 3), (0, 2), (1, 2)])
-    problems = ProblemSet(terrains == 0, starts, goals, Movement(), terrain=terrains)  # type: ignore[arg-type]
+    problems = ProblemSet(terrains == 0, starts, goals, Movement(), terrain=terrains)
     assert problems.optimal.cost.tolist() == [6, 8, 6]
     assert problems.hardness.tolist() == [6 / 6, 8 / 4, 6 / 6]
     assert problems.hard.tolist() == [False, True, False]
@@ -168,7 +168,8 @@ def small_set() -> ProblemSet:
 
 def as_grids(terrains: Bytes) -> Bytes:
     """Return the grids of terrains."""
-    return (terrains == 0).astype(np.uint8)
+    grids: Bytes = (terrains == 0).astype(np.uint8)
+    return grids
 
 
 def test_the_hash_covers_the_terrain() -> None:
@@ -203,7 +204,7 @@ def test_a_saved_set_keeps_its_terrain(tmp_path: Path) -> None:
         assert set(file) == {"about", "terrain", "starts", "goals"}
     loaded = ProblemSet.load(path)
     assert loaded.content_hash == problems.content_hash
-    np.testing.assert_array_equal(loaded.terrain, problems.terrain)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(loaded.terrain, problems.terrain)
     np.testing.assert_array_equal(loaded.grids, problems.grids)
     again = tmp_path / "again.npz"
     loaded.save(again)
@@ -269,7 +270,7 @@ def test_terrain_is_copied_and_cannot_be_written_to() -> None:
         np.array([[0, 0]]),
         np.array([[1, 2]]),
         Movement(),
-        terrain=terrain,  # type: ignore[arg-type]
+        terrain=terrain,
     )
     terrain[:] = 7
     assert problems.terrain is not None
