@@ -104,7 +104,7 @@ def reference_best_first(
 
 @movements
 @pytest.mark.parametrize(
-    ("weight", "uses_path_cost"), [(0, True), (1, True), (1.5, True), (3, True), (1, False)]
+    ("weight", "uses_path_cost"), [(0, True), (1, True), (1.25, True), (3, True), (1, False)]
 )
 def test_best_first_search_on_terrain_equals_the_reference(
     movement: Movement, weight: float, uses_path_cost: bool
