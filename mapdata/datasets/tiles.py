@@ -422,7 +422,10 @@ def _add_noise(
     other_run = np.uint64(bounded(other_word, 0, last))
     for x in range(np.uint64(len(line))):
         noise = noise_bank[run + x] + noise_bank[other_run + x]
-        level = np.int16(line[x]) + ((noise + np.int16(_NOISE_UNIT // 2)) // np.int16(_NOISE_UNIT))
+        # Halves are rounded away from 0, so that the mean of the noise is 0.
+        sign = noise >> np.int16(15)
+        levels = (noise + sign + np.int16(_NOISE_UNIT // 2)) // np.int16(_NOISE_UNIT)
+        level = np.int16(line[x]) + levels
         line[x] = min(max(level, np.int16(0)), np.int16(255))
 
 
