@@ -37,6 +37,7 @@ from mapdata import (  # noqa: E402
     Movement,
     OnlineMapDataset,
     Random,
+    Tiles,
     astar,
     build,
     check_path,
@@ -523,6 +524,24 @@ def roadmaps() -> Figure:
     return figure
 
 
+def images() -> Figure:
+    """Show a map of the preset tiles, its picture, and its picture with alike tiles."""
+    dataset = OnlineMapDataset("tiles", 0, length=20, fields=("terrain", "image"))
+    alike = OnlineMapDataset("tiles", 0, length=20, fields=(Tiles(alike=True),))
+    sample: Any = dataset[PICKED]
+    alike_sample: Any = alike[PICKED]
+    figure, axes = new_figure(1, 3, (10.2, 3.7))
+    axes[0].imshow(sample.terrain[0], cmap="viridis", interpolation="nearest")
+    bare(axes[0], "terrain")
+    for ax, image, title in (
+        (axes[1], sample.image, "image"),
+        (axes[2], alike_sample.image, "Tiles(alike=True)"),
+    ):
+        ax.imshow(image.permute(1, 2, 0), interpolation="nearest")
+        bare(ax, title)
+    return figure
+
+
 FIGURES: dict[str, Callable[[], Figure]] = {
     "overview": overview,
     "batch": batch,
@@ -543,6 +562,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "planners": planners,
     "samplers": samplers,
     "roadmaps": roadmaps,
+    "images": images,
 }
 NAMES = [*FIGURES, "report"]
 

@@ -1,33 +1,55 @@
-"""Pictures of maps: `draw_tiles` draws a small texture for each cell, by the cost of the cell.
+"""The field ``image``: `Tiles` draws pictures of maps, a small texture for each cell.
 
-A cost has three digits in base 11. Each digit chooses one of 11 patterns: the lowest digit that of
-brightness, the middle digit that of red against green, the highest digit that of yellow against
-blue. So all 256 costs look different, and neighbouring costs differ in brightness.
+**The look of a cost** is the same in all datasets. A cost has three digits in base 11. Each digit
+chooses one of 11 patterns: the lowest digit that of brightness, the middle digit that of red
+against green, the highest digit that of yellow against blue. So all 256 costs look different, and
+costs that follow one another differ in brightness. Patterns differ in what the symmetries of a
+square leave unchanged, because the datasets turn and reflect maps.
 
-A tile is copied from a bank, which has `TEXTURES` textures for each cost, with random phase,
-direction and scale. The symmetries of a square move a pattern, but do not turn it into another one.
-All textures have the same brightnesses in another order: a pattern only ranks the pixels. So the
-mean colour of a texture is its ground colour exactly. All numbers are integers.
+**The textures** of a cost have random phases, directions and scales. A pattern only ranks the
+pixels of a texture: all textures have the same brightnesses in another order, around a ground
+colour. So with ``alike``, where the ground colours of all costs are the same, neither the mean
+colour of a texture nor its brightnesses tell anything of its cost.
+
+**A picture** is drawn from the stored map, by copying a texture for each cell from a bank, and
+adding noise from another bank. All numbers are integers and come from `mapdata.rng`, so that a
+picture is the same on every machine.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import lru_cache
 from threading import Lock
+from typing import ClassVar, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from mapdata.arrays import Bytes, Ints
+from mapdata.checks import check_count, check_flag, check_seed
 from mapdata.jit import Int, inlined, kernel
+from mapdata.problems.symmetry import transform_grids
 from mapdata.rng import IMAGE, block, bounded
+
+MIN_PIXELS, MIN_ALIKE_PIXELS, MAX_PIXELS = 4, 8, 32
+"""Limits of the pixels of a tile; tiles of fewer pixels cannot show all patterns."""
+
+MAX_NOISE = 64
 
 TEXTURES = 1024
 """Number of textures of each cost."""
 
-_TILE, _TEXTURE, _TINT = range(3)
-"""The epochs of random words: tiles of maps, textures and tints have words of their own."""
+_TILE, _NOISE_RUN, _TEXTURE, _TINT, _NOISE = range(5)
+"""The epochs of random words: each purpose has words of its own."""
+
+_BLOBS, _SPECKLES, _COARSE_CHECKS, _COARSE_STRIPES, _FINE_CHECKS, _FINE_STRIPES = range(6)
+_COARSE_DIAGONALS, _FINE_DIAGONALS, _COARSE_DIAMONDS, _OBLIQUES, _FINE_DIAMONDS = range(6, 11)
+"""The patterns by their digits. Stripes run along an axis, obliques between axis and diagonal.
+
+Diamonds are checks that stand on a corner.
+"""
 
 _BASE = 11
 """Base of the digits of a cost, and number of patterns."""
@@ -39,24 +61,26 @@ _FINE = (40, 48)
 _COARSE = (72, 88)
 """Shortest and longest period of fine and of coarse patterns, in units."""
 
-_FINE_PATTERNS = (4, 5, 7, 9, 10)
+_FINE_PATTERNS = (_FINE_CHECKS, _FINE_STRIPES, _FINE_DIAGONALS, _OBLIQUES, _FINE_DIAMONDS)
 
 _MAX_PHASE = 1023
+"""Highest phase of a pattern, in units; it is many periods, so that all phases occur as often."""
 
 _LATTICE = 8
 """Rows and columns of the random bytes of blobs and speckles."""
 
 _GRAIN = 48
-"""Height of the grain that roughens a pattern of height 256."""
+_GRAIN_OF_BLOBS = 12
+"""Height of the grain that roughens a pattern of height 256; blobs are often flatter."""
 
-_AMPLITUDES = (28, 10, 10)
-_ALIKE_AMPLITUDES = (44, 16, 16)
+_AMPLITUDES = (26, 5, 5)
+_ALIKE_AMPLITUDES = (44, 12, 12)
 """Highest levels of brightness, of red against green, and of yellow against blue."""
 
 _ALIKE_COLOUR = (124, 118, 106)
 """Mean colour of all tiles that look alike."""
 
-_OCCUPIED_COLOUR = (44, 42, 50)
+_OCCUPIED_COLOUR = (46, 44, 52)
 
 _COLOURS = (
     (122, 122, 130),  # rock
@@ -64,12 +88,12 @@ _COLOURS = (
     (218, 196, 138),  # sand
     (74, 124, 190),  # water
     (58, 104, 64),  # forest
-    (142, 100, 64),  # earth
+    (132, 106, 66),  # earth
     (150, 112, 164),  # heath
     (206, 124, 70),  # clay
-    (190, 186, 180),  # paving
+    (178, 184, 196),  # paving
     (76, 146, 136),  # swamp
-    (164, 64, 66),  # lava
+    (176, 52, 60),  # lava
 )
 """Mean colours by the lowest digit of a cost."""
 
@@ -79,8 +103,11 @@ _SHIFTS = (0, 18, -18)
 _MAX_TINT = 8
 """By how much the channels of the mean colour of a texture differ from the ground at most."""
 
-_STEP = np.uint64(0x9E3779B97F4A7C15)
-"""Distance of the states of splitmix64."""
+_NOISE_COUNT = 2**18
+"""Number of levels in the bank of noise."""
+
+_NOISE_UNIT = 8
+"""The bank of noise holds eighths of grey levels."""
 
 
 @inlined
@@ -99,30 +126,30 @@ def _height(digit: Int, u: Int, v: Int, period: Int, offset: Int, lattice: Ints)
         u: first coordinate, in units.
         v: second coordinate, in units.
         period: distance of the waves, in units.
-        offset: added to the second of two waves, whose first is moved by ``u``.
-        lattice: (64,) random bytes.
+        offset: phase of the second of two waves; that of the first is a part of ``u``.
+        lattice: (64,) random bytes, for speckles and blobs.
     """
     # 5 / 7 is close to 1 / sqrt(2), and 4 / 9 to 1 / sqrt(5): waves in these directions have the
     # same period.
     diagonal = (u + v) * 5 // 7
     antidiagonal = (u - v) * 5 // 7 + offset
-    if digit in (3, 5):  # stripes along an axis
+    if digit in (_COARSE_STRIPES, _FINE_STRIPES):
         return _wave(u, period)
-    if digit in (6, 7):  # diagonal stripes
+    if digit in (_COARSE_DIAGONALS, _FINE_DIAGONALS):
         return _wave(diagonal, period)
-    if digit == 9:  # stripes between an axis and a diagonal
+    if digit == _OBLIQUES:
         return _wave((2 * u + v) * 4 // 9, period)
-    if digit in (2, 4):  # checks
+    if digit in (_COARSE_CHECKS, _FINE_CHECKS):
         product = (_wave(u, period) - 128) * (_wave(v + offset, period) - 128)
         return 128 + product // 128
-    if digit in (8, 10):  # checks that stand on a corner
+    if digit in (_COARSE_DIAMONDS, _FINE_DIAMONDS):
         product = (_wave(diagonal, period) - 128) * (_wave(antidiagonal, period) - 128)
         return 128 + product // 128
-    if digit == 1:  # speckles
+    if digit == _SPECKLES:
         return lattice[(u // 16) % _LATTICE * _LATTICE + (v // 16) % _LATTICE]
     # Blobs: random heights, a period apart, and linear in between.
     row, down = divmod(u, period)
-    column, right = divmod(v, period)
+    column, right = divmod(v + offset, period)
     row %= _LATTICE
     column %= _LATTICE
     next_row = (row + 1) % _LATTICE
@@ -139,10 +166,12 @@ def _height(digit: Int, u: Int, v: Int, period: Int, offset: Int, lattice: Ints)
 
 
 @kernel
-def _draw_bytes(seed: np.uint64, index: np.uint64, number: Int, random_bytes: Ints) -> Int:
+def _draw_bytes(
+    seed: np.uint64, index: np.uint64, epoch: Int, number: Int, random_bytes: Ints
+) -> Int:
     """Fill an array with random bytes, and return the number of the next block of words."""
     for i in range(0, len(random_bytes), 16):
-        words = block(seed, index, _TEXTURE, IMAGE, number)
+        words = block(seed, index, epoch, IMAGE, number)
         number += 1
         for j in range(min(16, len(random_bytes) - i)):
             random_bytes[i + j] = (words[j // 4] >> np.uint64(8 * (j % 4))) & np.uint64(255)
@@ -172,8 +201,9 @@ def _draw_heights(seed: np.uint64, cost: Int, pixels: Int) -> Ints:
             phase = bounded(words[1], 0, _MAX_PHASE)
             offset = bounded(words[2], 0, _MAX_PHASE)
             direction = bounded(words[3], 0, 7)
-            number = _draw_bytes(seed, index, number + 1, lattice)
-            number = _draw_bytes(seed, index, number, grain)
+            grain_height = _GRAIN_OF_BLOBS if digit == _BLOBS else _GRAIN
+            number = _draw_bytes(seed, index, _TEXTURE, number + 1, lattice)
+            number = _draw_bytes(seed, index, _TEXTURE, number, grain)
             for row in range(pixels):
                 for column in range(pixels):
                     # The middle of the pixel, after a symmetry of the square.
@@ -187,7 +217,7 @@ def _draw_heights(seed: np.uint64, cost: Int, pixels: Int) -> Ints:
                         u, v = v, u
                     height = _height(digit, u + phase, v, period, offset, lattice)
                     pixel = row * pixels + column
-                    heights[texture, axis, pixel] = 256 * height + _GRAIN * grain[pixel]
+                    heights[texture, axis, pixel] = 256 * height + grain_height * grain[pixel]
     return heights
 
 
@@ -269,11 +299,8 @@ def draw_textures(cost: int, pixels: int, alike: bool, seed: int) -> Bytes:
 class _Bank:
     """The textures of the costs that have occurred so far, for some pixels, mode and seed.
 
-    A texture is a row of bytes, filled up to a multiple of 8, because noise is drawn for 8 pixels
-    at once.
-
     Attributes:
-        textures: (S, TEXTURES, bytes) uint8; S grows.
+        textures: (S, TEXTURES, 3, pixels, pixels) uint8; S grows.
         slots: (256,) int64, where the textures of a cost are, -1 if they have not been drawn.
     """
 
@@ -284,8 +311,7 @@ class _Bank:
         self._seed = seed
         self._lock = Lock()
         self._count = 0
-        size = 3 * pixels * pixels
-        self.textures = np.zeros((4, TEXTURES, size + -size % 8), np.uint8)
+        self.textures = np.zeros((4, TEXTURES, 3, pixels, pixels), np.uint8)
         self.slots = np.full(256, -1)
 
     def with_costs(self, terrain: Bytes) -> tuple[Bytes, Ints]:
@@ -296,9 +322,9 @@ class _Bank:
                 if self._count == len(self.textures):
                     # The room doubles, so that it is copied a few times in all.
                     self.textures = np.concatenate((self.textures, np.zeros_like(self.textures)))
-                drawn = draw_textures(cost, self._pixels, self._alike, self._seed)
-                drawn = drawn.reshape(TEXTURES, -1)
-                self.textures[self._count, :, : drawn.shape[1]] = drawn
+                self.textures[self._count] = draw_textures(
+                    cost, self._pixels, self._alike, self._seed
+                )
                 self.slots[cost] = self._count
                 self._count += 1
             return self.textures, self.slots
@@ -310,11 +336,11 @@ def _bank(pixels: int, alike: bool, seed: int) -> _Bank:
     return _Bank(pixels, alike, seed)
 
 
-@lru_cache(maxsize=8)
 def _noise_levels(noise: int) -> npt.NDArray[np.int16]:
-    """Return 256 equally probable levels of noise, whose standard deviation is ``noise``.
+    """Return 256 levels of noise, equally probable, in units of `_NOISE_UNIT`.
 
-    They are quantiles of the sum of four random bytes, which is close to a normal distribution.
+    Their standard deviation is ``noise`` / sqrt(2), because two of them are added. They are
+    quantiles of the sum of four random bytes, which is close to a normal distribution.
     """
     counts = np.ones(1, np.int64)
     for _ in range(4):
@@ -323,21 +349,25 @@ def _noise_levels(noise: int) -> npt.NDArray[np.int16]:
     # The quantiles above the middle; those below are their mirror images.
     targets = (2 * np.arange(128, 256) + 1) * 2**23
     upper = np.searchsorted(np.cumsum(counts), targets) - middle
-    deviation = math.isqrt(int((upper * upper).sum()) * 2**20 // 128)  # times 2**10
-    levels = (2 * noise * upper * 2**10 + deviation) // (2 * deviation)
+    # 2**10 times the standard deviation of the quantiles, times sqrt(2).
+    deviation = math.isqrt(2 * int((upper * upper).sum()) * 2**20 // 128)
+    scale = _NOISE_UNIT * noise * 2**10
+    levels = (2 * scale * upper + deviation) // (2 * deviation)
     return np.concatenate((-levels[::-1], levels)).astype(np.int16)
 
 
-@inlined
-def _next_noise_bits(state: np.uint64) -> np.uint64:
-    """Return the 64 random bits of a state of splitmix64, whose states are `_STEP` apart.
+@kernel
+def _draw_noise_bytes(seed: np.uint64) -> Ints:
+    """Return `_NOISE_COUNT` random bytes as int64, of which the noise is made."""
+    random_bytes = np.empty(_NOISE_COUNT, np.int64)
+    _draw_bytes(seed, np.uint64(0), _NOISE, 0, random_bytes)
+    return random_bytes
 
-    Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014,
-    https://doi.org/10.1145/2660193.2660195.
-    """
-    state = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    state = (state ^ (state >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return state ^ (state >> np.uint64(31))
+
+@lru_cache(maxsize=8)
+def _noise_bank(noise: int, seed: int) -> npt.NDArray[np.int16]:
+    """Return (`_NOISE_COUNT`,) levels of noise; they are the same in every process."""
+    return _noise_levels(noise)[_draw_noise_bytes(np.uint64(seed))]
 
 
 @kernel
@@ -347,10 +377,10 @@ def _copy_tiles(
     seed: np.uint64,
     textures: Bytes,
     slots: Ints,
-    noise_levels: npt.NDArray[np.int16],
+    noise_bank: npt.NDArray[np.int16],
     pictures: Bytes,
 ) -> None:
-    """Fill pictures, (B, 3, pixels * H, pixels * W), with textures of the bank.
+    """Fill pictures, (B, 3, pixels * H, pixels * W), with textures of the bank and noise.
 
     Args:
         terrain: (B, H, W).
@@ -358,34 +388,51 @@ def _copy_tiles(
         seed: key of the random words.
         textures: of the bank.
         slots: of the bank.
-        noise_levels: (256,), or empty without noise.
+        noise_bank: levels of noise, or empty for no noise.
         pictures: are filled.
     """
     maps, rows, columns = terrain.shape
-    pixels = pictures.shape[2] // rows
-    noisy = np.empty(textures.shape[2], np.uint8)
+    pixels = textures.shape[3]
+    width = np.uint64(columns * pixels)
+    bank_pixels = textures.reshape(-1)
+    # Where the bank has the first row of pixels of the tiles of a row of cells.
+    sources = np.empty(width, np.uint64)
     for b in range(maps):
+        index = np.uint64(map_numbers[b])
         for row in range(rows):
             for column in range(columns):
-                words = block(seed, np.uint64(map_numbers[b]), _TILE, IMAGE, row * columns + column)
-                texture = bounded(words[0], 0, TEXTURES - 1)
-                tile = textures[slots[terrain[b, row, column]], texture]
-                if len(noise_levels) > 0:
-                    state = words[1] | (words[2] << np.uint64(32))
-                    for first in range(0, len(tile), 8):
-                        state += _STEP
-                        bits = _next_noise_bits(state)
-                        for i in range(8):
-                            level = tile[first + i] + noise_levels[bits & np.uint64(255)]
-                            noisy[first + i] = min(max(level, 0), 255)
-                            bits >>= np.uint64(8)
-                    tile = noisy
-                for channel in range(3):
-                    for pixel_row in range(pixels):
-                        first = (channel * pixels + pixel_row) * pixels
-                        line = pictures[b, channel, row * pixels + pixel_row]
-                        for i in range(pixels):
-                            line[column * pixels + i] = tile[first + i]
+                word, _, _, _ = block(seed, index, _TILE, IMAGE, row * columns + column)
+                texture = bounded(word, 0, TEXTURES - 1)
+                number = slots[terrain[b, row, column]] * TEXTURES + texture
+                for i in range(pixels):
+                    sources[column * pixels + i] = number * 3 * pixels * pixels + i
+            for channel in range(3):
+                for pixel_row in range(pixels):
+                    picture_row = row * pixels + pixel_row
+                    line = pictures[b, channel, picture_row]
+                    source_row = np.uint64((channel * pixels + pixel_row) * pixels)
+                    for x in range(width):
+                        line[x] = bank_pixels[sources[x] + source_row]
+                    if len(noise_bank) > 0:
+                        words = block(seed, index, _NOISE_RUN, IMAGE, 3 * picture_row + channel)
+                        _add_noise(noise_bank, words[0], words[1], line)
+
+
+@inlined
+def _add_noise(
+    noise_bank: npt.NDArray[np.int16], word: np.uint64, other_word: np.uint64, line: Bytes
+) -> None:
+    """Add noise to a row of pixels: the sum of two runs of the bank, which two words choose."""
+    last = len(noise_bank) - len(line)
+    run = np.uint64(bounded(word, 0, last))
+    other_run = np.uint64(bounded(other_word, 0, last))
+    for x in range(np.uint64(len(line))):
+        noise = noise_bank[run + x] + noise_bank[other_run + x]
+        # Halves are rounded away from 0, so that the mean of the noise is 0.
+        sign = noise >> np.int16(15)
+        grey_levels = (noise + sign + np.int16(_NOISE_UNIT // 2)) // np.int16(_NOISE_UNIT)
+        level = np.int16(line[x]) + grey_levels
+        line[x] = min(max(level, np.int16(0)), np.int16(255))
 
 
 def draw_tiles(
@@ -404,6 +451,94 @@ def draw_tiles(
     maps, rows, columns = terrain.shape
     pictures = np.empty((maps, 3, rows * pixels, columns * pixels), np.uint8)
     textures, slots = _bank(pixels, alike, seed).with_costs(terrain)
-    noise_levels = _noise_levels(noise) if noise else np.empty(0, np.int16)
-    _copy_tiles(terrain, map_numbers, np.uint64(seed), textures, slots, noise_levels, pictures)
+    noise_bank = _noise_bank(noise, seed) if noise else np.empty(0, np.int16)
+    _copy_tiles(terrain, map_numbers, np.uint64(seed), textures, slots, noise_bank, pictures)
     return pictures
+
+
+class PicturedBatch(Protocol):
+    """What `Tiles` needs of a `Batch`, which describes it."""
+
+    @property
+    def stored_terrain(self) -> Bytes | None:
+        """(B, H, W) uint8."""
+
+    @property
+    def stored_grids(self) -> Bytes:
+        """(B, H, W) uint8."""
+
+    @property
+    def map_numbers(self) -> Ints:
+        """(B,) int64."""
+
+    @property
+    def symmetries(self) -> Ints:
+        """(B,) int64."""
+
+
+@dataclass(frozen=True)
+class Tiles:
+    """The field ``image``, with options of your own: pictures of the maps.
+
+    It stands among the names in ``fields=``: ``fields=("image", "path", Tiles(noise=10))``.
+
+    Each cell is drawn as a tile by its cost: 0 for an occupied cell, the cost of terrain, or 1 for
+    a free cell of a map without terrain. A cost looks alike in all maps and datasets, but never the
+    same: its texture is chosen at random from `TEXTURES`, by the number of the map and the cell.
+
+    The picture belongs to the stored map. ``augment`` turns and reflects the picture with the map,
+    and a ``radius`` does not change it.
+
+    Attributes:
+        pixels: k, rows and columns of a tile, 4 to 32.
+        alike: whether all costs have the same mean colours, so that only the patterns of the tiles
+            tell them apart; needs at least 8 pixels.
+        noise: standard deviation of the noise that is added to each channel of each pixel, in grey
+            levels of 0 to 255; at most 64.
+        seed: another seed gives other textures of the same looks, and other noise.
+
+    Raises:
+        ValueError: an option out of range.
+    """
+
+    pixels: int = 8
+    alike: bool = False
+    noise: int = 0
+    seed: int = 0
+
+    __name__: ClassVar[str] = "image"
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        check_flag("alike", self.alike)
+        pixels = check_count("pixels", self.pixels)
+        min_pixels = MIN_ALIKE_PIXELS if self.alike else MIN_PIXELS
+        if not min_pixels <= pixels <= MAX_PIXELS:
+            raise ValueError(
+                f"pixels: got {pixels}, expected {min_pixels} to {MAX_PIXELS} rows and columns of "
+                f"a tile{' for alike=True' if self.alike else ''}"
+            )
+        noise = check_count("noise", self.noise, minimum=0)
+        if noise > MAX_NOISE:
+            raise ValueError(f"noise: got {noise}, expected at most {MAX_NOISE} grey levels")
+        object.__setattr__(self, "pixels", pixels)
+        object.__setattr__(self, "noise", noise)
+        object.__setattr__(self, "seed", check_seed(self.seed))
+
+    def __call__(self, batch: PicturedBatch) -> Bytes:
+        """Return the pictures, (B, 3, pixels * H, pixels * W) uint8."""
+        terrain = batch.stored_terrain
+        if terrain is None:
+            terrain = batch.stored_grids ^ np.uint8(1)  # A free cell costs 1.
+        pictures = draw_tiles(
+            terrain, batch.map_numbers, self.pixels, self.alike, self.noise, self.seed
+        )
+        return after_symmetries(pictures, batch.symmetries)
+
+
+def after_symmetries(pictures: Bytes, symmetries: Ints) -> Bytes:
+    """Return pictures, (B, 3, rows, columns), after the symmetries of their maps, (B,)."""
+    if not symmetries.any():
+        return pictures
+    channels = pictures.reshape(-1, *pictures.shape[2:])
+    return transform_grids(channels, np.repeat(symmetries, 3)).reshape(pictures.shape)
