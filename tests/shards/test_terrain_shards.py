@@ -25,6 +25,7 @@ from hypothesis import strategies as st
 
 from mapdata import (
     Cave,
+    MapDataset,
     MapGenerator,
     MapSpec,
     Movement,
@@ -38,6 +39,7 @@ from mapdata import (
     repair,
     verify,
 )
+from mapdata.describe import card
 from mapdata.generators import UnknownFamily
 from mapdata.search.labels import Labels
 from mapdata.shards import MANIFEST, Manifest, Root, content_hash, open_shard, read_manifest
@@ -559,6 +561,30 @@ def test_an_unknown_family_with_terrain_is_read(unknown: tuple[Path, MapGenerato
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         assert verify(root) == []
+
+
+def test_terrain_over_an_unknown_family_is_read(tmp_path: Path) -> None:
+    """It is verified, its card names the module, and damage is reported as beyond repair."""
+    (tmp_path / "pillars.py").write_text(PILLARS, encoding="utf-8")
+    sys.path.insert(0, str(tmp_path))
+    __import__("pillars")
+    sys.path.remove(str(tmp_path))
+    generator = Terrain(over=MapGenerator.preset("columns"))
+    root = tmp_path / "maps"
+    build(root, generator, maps=6, seed=3, shard_size=4, workers=1)
+    assert "--import pillars" in card(root)
+    forget("pillars", "columns")
+    manifest = read_manifest(root)
+    assert (manifest.format_version, manifest.identity) == (3, identity(generator, 3))
+    assert manifest.max_seed_points == 4
+    assert MapDataset(root).info.recipes == (None,)
+    with pytest.warns(UserWarning, match="'pillars' is not known here"):
+        assert verify(root) == []
+    assert "with the module of the family pillars" in card(root)
+    path = first_shard(root)
+    path.write_bytes(path.read_bytes()[:-1])
+    (fault,) = repair(root)
+    assert "it cannot be made again: the family 'pillars' is not known here" in str(fault)
 
 
 def test_the_known_family_reads_what_the_unknown_one_was(
