@@ -67,8 +67,8 @@ def test_any_terrain_equals_the_reference(
     if corners:
         last_cell = (size[0] - 1, size[1] - 1)
         corner_cells = sorted({(0, 0), last_cell})
-        points = [tuple(point) for point in maps.seed_points[0, : maps.rooms[0]].tolist()]
-        assert points == corner_cells
+        corner_points = maps.seed_points[0, : maps.rooms[0]].tolist()
+        assert [tuple(point) for point in corner_points] == corner_cells
     else:
         components, _ = ndimage.label(maps.occupancy[0] == 0)
         largest = np.bincount(components[components > 0]).argmax()
@@ -84,8 +84,9 @@ def test_terrain_over_another_family_equals_the_reference(
 ) -> None:
     """And grids, rooms, seed points and splits are those of the other family."""
     if isinstance(over, MapSpec):
-        rooms = {"room_rows": (1, size[0]), "room_columns": (1, size[1]), "passage_width": (1, 1)}
-        over = replace(over, map_size=size, **rooms)
+        over = MapSpec(
+            size, room_rows=(1, size[0]), room_columns=(1, size[1]), passage_width=(1, 1)
+        )
     else:
         over = replace(over, map_size=(size[0] + 10, size[1] + 10))
     generator = Terrain(**parameters, over=over)
@@ -136,8 +137,10 @@ def test_a_map_depends_on_its_seed_and_number_alone(
     assert batch is not None
     for terrain, index in zip(batch, indices, strict=True):
         alone = generate(generator, seed, [index])
-        np.testing.assert_array_equal([terrain], alone.terrain)
+        assert alone.terrain is not None
+        np.testing.assert_array_equal(terrain, alone.terrain[0])
     other = generate(generator, seed ^ 1, indices).terrain
+    assert other is not None
     assert not np.array_equal(batch, other)
 
 
