@@ -315,8 +315,8 @@ GOLDEN: dict[str, tuple[MapGenerator, str, str]] = {
     ),
     "tiles": (
         MapGenerator.preset("tiles"),
-        "4e87b688832df3788e4346ede4740fe37aaa35b9b81ea79b131da420291c5b96",
-        "708d1bb8c3a20657b3e72a82270f7ef1007b7dfa1cf68bbc820cbc86e29db828",
+        "0ede4016f19c05aa98df10d3f075f4d85fd824064578eef8558667ff8a918faa",
+        "6d0db4f6e8cc4f9433987d0518e076e2f19f8edbc310ab8e705b63d352f8e11d",
     ),
     "over a maze": (
         Terrain(
