@@ -217,7 +217,7 @@ class UnknownFamily(MapGenerator):
 
     name: str = ""  # type: ignore[misc]  # a field here, a class variable in other families
     parameters: str = "{}"
-    has_terrain: bool = False  # type: ignore[misc]  # a property of other families
+    has_terrain: bool = False  # a property of other families
 
     def __post_init__(self) -> None:
         """Check the parameters that can be checked without the family."""

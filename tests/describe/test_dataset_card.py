@@ -250,4 +250,4 @@ def test_many_costs_are_put_together_in_ranges(tmp_path: Path) -> None:
         for name, cells in rows.items()
         if name in names
     ]
-    assert sum(counts) == int((generate(generator, 1, range(2)).terrain > 0).sum())
+    assert sum(counts) == int((generate(generator, 1, range(2)).occupancy == 0).sum())

@@ -57,7 +57,7 @@ none is changed.
 def samples_hash(root: Path) -> str:
     """Return the hash of all samples of a dataset: the stored problems of both searches."""
     digest = hashlib.sha256()
-    fields = FIELDS
+    fields: tuple[str, ...] = FIELDS
     if read_manifest(root).has_terrain:
         fields = (*FIELDS, "terrain", "cost")
     for search in ("bfs", "astar"):
