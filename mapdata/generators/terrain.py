@@ -231,7 +231,7 @@ PRESETS = {
     "tiles": Terrain(
         (12, 12),
         costs=(8, 12, 53, 77, 92),
-        scale=4,
+        scale=5,
         obstacles=0.0,
         corners=True,
         movement=Movement(8, corner_cutting=True, diagonal_cost=1.0),
