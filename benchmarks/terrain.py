@@ -1,4 +1,4 @@
-"""Goal fields and A* on terrain, drawing terrain, and pictures of maps.
+"""Goal fields and A* on terrain beside scikit-image and pyastar2d, drawing terrain, and pictures.
 
 Run it by python -m benchmarks terrain.
 
@@ -162,29 +162,6 @@ def rows_of(name: str, terrains: list[Bytes], rounds: int) -> list[Row]:
     ]
 
 
-def drawing_rows(rounds: int) -> list[Row]:
-    """Return the rows of drawing maps of terrain, in batches on one core."""
-    indices = np.arange(1000)
-    generators: dict[str, Terrain] = {
-        "preset terrain": Terrain.preset("terrain"),
-        "the same with corners": replace(Terrain.preset("terrain"), corners=True),
-        "preset tiles, 12 x 12": Terrain.preset("tiles"),
-    }
-    contestants: dict[str, Callable[[], object]] = {
-        name: partial(generator.draw, 0, indices) for name, generator in generators.items()
-    }
-    times = interleaved(contestants, rounds)
-    notes = {
-        name: f"{generator.max_seed_points} seed points" for name, generator in generators.items()
-    }
-    return [
-        Row(
-            f"draw a map, {name}", each(times[name], len(indices)), target="50 us", note=notes[name]
-        )
-        for name in generators
-    ]
-
-
 @dataclass(frozen=True)
 class StoredMaps:
     """Maps as `mapdata.Tiles` reads them from a batch."""
@@ -235,6 +212,29 @@ def picture_rows(rounds: int) -> list[Row]:
     return rows
 
 
+def drawing_rows(rounds: int) -> list[Row]:
+    """Return the rows of drawing maps of terrain, in batches on one core."""
+    indices = np.arange(1000)
+    generators: dict[str, Terrain] = {
+        "preset terrain": Terrain.preset("terrain"),
+        "the same with corners": replace(Terrain.preset("terrain"), corners=True),
+        "preset tiles, 12 x 12": Terrain.preset("tiles"),
+    }
+    contestants: dict[str, Callable[[], object]] = {
+        name: partial(generator.draw, 0, indices) for name, generator in generators.items()
+    }
+    times = interleaved(contestants, rounds)
+    notes = {
+        name: f"{generator.max_seed_points} seed points" for name, generator in generators.items()
+    }
+    return [
+        Row(
+            f"draw a map, {name}", each(times[name], len(indices)), target="50 us", note=notes[name]
+        )
+        for name in generators
+    ]
+
+
 def table(quick: bool, parent: str | None = None) -> str:
     """Measure, and return the table; nothing is written."""
     rounds = 3 if quick else 9
@@ -242,8 +242,8 @@ def table(quick: bool, parent: str | None = None) -> str:
     rows = [
         row for name, terrains in maps_of(count).items() for row in rows_of(name, terrains, rounds)
     ]
-    rows += drawing_rows(rounds)
     rows += picture_rows(rounds)
+    rows += drawing_rows(rounds)
     notes = (
         f"medians of {rounds} repeats, the contestants taking turns; one thread; a ratio is the "
         "median of the repeats'",

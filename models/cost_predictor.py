@@ -36,7 +36,6 @@ costs. docs/planners.md has the table.
 
 from __future__ import annotations
 
-import math
 from typing import Literal
 
 import numpy as np

@@ -10,7 +10,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from mapdata import Movement, OnlineMapDataset, Sample, Terrain, Tiles, check_path, search_batch
-from mapdata.arrays import Bytes, offsets_of
+from mapdata.arrays import Bytes
 from mapdata.models import CostPredictor
 from mapdata.models.cost_predictor import (
     TRAINING_FIELDS,
@@ -163,7 +163,9 @@ def test_terrain_of_costs_spans_its_range() -> None:
 def test_images_of_another_size_are_refused() -> None:
     """The message names both shapes."""
     model = CostPredictor()
-    with pytest.raises(ValueError, match=r"images: got shape \(1, 3, 16, 24\), expected \(1, 3, 24"):
+    with pytest.raises(
+        ValueError, match=r"images: got shape \(1, 3, 16, 24\), expected \(1, 3, 24"
+    ):
         model.predict(np.zeros((1, 3, 16, 24), np.uint8), np.zeros((1, 3, 2), np.uint8))
 
 
