@@ -137,9 +137,14 @@ def sealed(draw: random.Random, image: bytes) -> bytes:
 def _read_all(root: Path, search: str, movement: Movement) -> None:
     """Read every problem of a dataset, with every field.
 
-    Waypoints are filled, because a path through walls is no error of the other fields either.
+    Waypoints are filled, because a path through walls is no error of the other fields either. Maps
+    with terrain have no taut lines.
     """
-    fields = [Waypoints(fill=True) if name == "waypoints" else name for name in ALL_FIELDS]
+    fields: list[str | Waypoints] = [
+        Waypoints(fill=True) if name == "waypoints" else name for name in ALL_FIELDS
+    ]
+    if read_manifest(root).has_terrain:
+        fields = [name for name in ALL_FIELDS if name not in ("waypoints", "bends")]
     for problems in ("route", "pairs", "random"):
         MapDataset(root, fields=fields, problems=problems, search=search, movement=movement)[:]
 
