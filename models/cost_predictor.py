@@ -92,9 +92,9 @@ class CostPredictor(Model):
         diagonal_cost: float = 1.0,
         pixels: int = 8,
         width: int = 16,
-        parts: int = 4,
+        parts: int = 8,
         loss: Literal["paths", "terrain", "expansions"] = "paths",
-        learning_rate: float = 0.004,
+        learning_rate: float = 0.01,
     ) -> None:
         """Make the network."""
         super().__init__()
@@ -127,7 +127,8 @@ class CostPredictor(Model):
         tiles = image.reshape(batch, channels, rows, k, columns, k).permute(0, 2, 4, 1, 3, 5)
         tiles = tiles.reshape(-1, channels, k, k).float() / 64 - 2  # (B * H * W, 3, k, k), about 0
         output = self.network(tiles).float()  # (B * H * W, 1, places, places)
-        return output.mean(dim=(1, 2, 3)).reshape(batch, rows, columns)
+        log_costs: Tensor = output.mean(dim=(1, 2, 3)).reshape(batch, rows, columns)
+        return log_costs
 
     def forward(self, image: Tensor, occupied: Tensor) -> Tensor:
         """Return the cost of each cell, (B, H, W), whose geometric mean over free cells is about 1.
@@ -136,7 +137,7 @@ class CostPredictor(Model):
             image: (B, 3, pixels * H, pixels * W), 0 to 255.
             occupied: (B, 1, H, W), 0 free and anything else occupied.
         """
-        return (centred(self.log_costs(image), occupied)).exp() + MIN_COST
+        return centred(self.log_costs(image), occupied).exp() + MIN_COST
 
     # --- training -------------------------------------------------------------------------------
 
@@ -173,7 +174,8 @@ class CostPredictor(Model):
         )
         found = path_weights(shortest.cells, shortest.offsets, grids, self.movement, maps)
         (difference,) = self.tensors(given - found)  # (B, H, W)
-        return (costs * difference).sum() / len(paths)
+        loss: Tensor = (costs * difference).sum() / len(paths)
+        return loss
 
     def terrain_loss(self, batch: Sample) -> Tensor:
         """Return the mean squared error of the logarithm of the costs, up to a constant a map."""
@@ -248,7 +250,7 @@ def as_terrain(costs: Float32s, grids: Bytes) -> Bytes:
     """Return costs (B, H, W) as terrain, (B, H, W) uint8, whose largest cost on a map is 255."""
     free_costs = np.where(grids == 0, costs, 0)
     scale = MAX_TERRAIN / free_costs.max(axis=(1, 2), keepdims=True, initial=MIN_COST)
-    terrain = np.clip(np.rint(costs * scale), 1, MAX_TERRAIN).astype(np.uint8)
+    terrain: Bytes = np.clip(np.rint(costs * scale), 1, MAX_TERRAIN).astype(np.uint8)
     terrain[grids != 0] = 0
     return terrain
 
