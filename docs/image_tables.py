@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import time
 import warnings
 from dataclasses import asdict, dataclass
@@ -78,7 +79,7 @@ def _tiles(side: int) -> Terrain:
 
 
 FAMILIES = {
-    "tiles 12": Family(_tiles(12), "route", 16, 0.6),
+    "tiles 12": Family(_tiles(12), "route", 16, 1.5),
     "tiles 18": Family(_tiles(18), "route", 16, 0.9),
     "tiles 24": Family(_tiles(24), "route", 16, 1.4),
     "tiles 30": Family(_tiles(30), "route", 16, 2.0),
@@ -268,8 +269,8 @@ def main() -> None:
     parser.add_argument("--only", default="", help="measure the maps whose name holds this text")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    warnings.filterwarnings("ignore", message=".*does not have many workers.*")
-    warnings.filterwarnings("ignore", message=".*`max_epochs=-1`.*")
+    logging.getLogger("pytorch_lightning").setLevel(logging.ERROR)
+    warnings.filterwarnings("ignore", module="pytorch_lightning")
     rows: list[dict[str, Any]] = []
     if arguments.file.exists():
         rows = json.loads(arguments.file.read_text())
