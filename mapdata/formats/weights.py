@@ -1,0 +1,109 @@
+"""Weights of cells, as other repositories store them in floats, as terrain: whole numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from mapdata.arrays import Array, Bytes
+from mapdata.formats.files import Limits
+from mapdata.npy import FormatError, StoredArray
+
+UNIT = 0.1
+"""The weight that becomes a cost of 1: published sets have weights such as 0.8 and 9.2."""
+
+MAX_COST = 255
+"""The largest cost of a cell."""
+
+
+def check_unit(unit: float) -> float:
+    """Return a unit of weights.
+
+    Raises:
+        ValueError: not a finite number above 0.
+    """
+    if isinstance(unit, bool) or not isinstance(unit, (int, float)):
+        raise ValueError(f"unit: got {unit!r}, expected a number")
+    if not 0 < unit < math.inf:
+        raise ValueError(f"unit: got {unit}, expected a finite number above 0")
+    return float(unit)
+
+
+def check_weights(array: StoredArray, limits: Limits) -> None:
+    """Check the shape of an array of weights.
+
+    Raises:
+        FormatError: another shape than (N, H, W), or more than the limits allow.
+    """
+    shape = array.shape
+    if len(shape) != 3 or 0 in shape:
+        raise FormatError(f"{array.label}: has shape {shape}, expected (N, H, W)")
+    count, rows, columns = shape
+    if rows * columns > limits.pixels:
+        raise FormatError(
+            f"{array.label}: has {rows} x {columns} cells, expected at most {limits.pixels} in all"
+        )
+    if count > limits.maps:
+        raise FormatError(f"{array.label}: has {count} maps, expected at most {limits.maps}")
+
+
+def read_terrain(array: StoredArray, unit: float) -> Iterator[Bytes]:
+    """Yield the weights of each map as terrain, (H, W) uint8, reading one at a time.
+
+    Args:
+        array: (N, H, W), a shape that `check_weights` accepts.
+        unit: the weight that becomes a cost of 1.
+
+    Raises:
+        FormatError: weights that are no whole multiples of the unit, or a damaged file.
+    """
+    for number, weights in enumerate(array.entries()):
+        yield to_terrain(weights, unit, f"{array.label}: map {number}")
+
+
+def to_terrain(weights: Array, unit: float, label: str) -> Bytes:
+    """Return weights as terrain, (H, W) uint8 of 1 to 255.
+
+    A weight may be rounded as its dtype, or float16, rounds: the published Warcraft sets have
+    9.203125 for 9.2.
+
+    Args:
+        weights: (H, W) numbers.
+        unit: the weight that becomes a cost of 1.
+        label: names the map in errors.
+
+    Raises:
+        FormatError: a weight that is not 1 to 255 units; the message names the first one.
+    """
+    exact_weights = weights.astype(np.float64)
+    costs = np.rint(exact_weights / unit)
+    # With NaN every comparison is false, so this form of the test refuses it.
+    is_cost = (costs >= 1) & (costs <= MAX_COST)
+    multiples = np.where(is_cost, costs, 1) * unit
+    is_multiple = is_cost & _is_rounded(exact_weights, multiples, weights.dtype)
+    if not is_multiple.all():
+        row, column = np.argwhere(~is_multiple)[0].tolist()
+        raise FormatError(
+            f"{label}: cell {row, column} has weight {exact_weights[row, column]:g}, expected a "
+            f"whole multiple of the unit {unit:g}, from {unit:g} to {MAX_COST * unit:g}"
+        )
+    return costs.astype(np.uint8)
+
+
+def _is_rounded(weights: Array, multiples: Array, dtype: np.dtype[np.generic]) -> Array:
+    """Return whether weights are multiples of the unit, up to the rounding of floats.
+
+    Args:
+        weights: (H, W) float64.
+        multiples: (H, W) float64, the nearest multiples of the unit.
+        dtype: of the weights in the file.
+    """
+    # Of one rounding step more, since a multiple may be the product of rounded numbers.
+    precision = np.finfo(dtype).eps if dtype.kind == "f" else 0.0
+    precision = max(float(precision), float(np.finfo(np.float64).eps) * 4)
+    is_near = np.abs(weights - multiples) <= precision * multiples
+    with np.errstate(over="ignore"):  # multiples above 65,504 become infinite in float16
+        halves = multiples.astype(np.float16).astype(np.float64)
+    return np.asarray(is_near | (weights == halves))
