@@ -98,6 +98,7 @@ def read(source: Path, limits: Limits = LIMITS, *, unit: float = UNIT) -> Collec
             # All maps are read before the first one is used, so a damaged file gives none.
             maps = _read_maps(_open(path, limits), _split_of(path, source), unit)
             collection.maps.extend(maps)
+    collection.maps.sort(key=lambda foreign_map: foreign_map.split or 0)  # train, val, test
     collection.notes.append(
         f"terrain is the weight of a cell divided by {unit:g}; pictures and expanded cells are "
         "left out: the field image draws other pictures"

@@ -98,6 +98,7 @@ def read(source: Path, limits: Limits = LIMITS, *, unit: float = UNIT) -> Collec
         # If the user named this file, its error is raised and not only noted.
         with nullcontext() if path == source else collection.leaving_out(path):
             opened.append(_open(path, limits))
+    opened.sort(key=lambda files: files.split)  # train, val, test
     total = sum(len(files.weights) for files in opened)
     with bar(limits.progress, total, unit=" maps read") as advance:
         for files in opened:
