@@ -66,8 +66,8 @@ def read_terrain(array: StoredArray, unit: float) -> Iterator[Bytes]:
 def to_terrain(weights: Array, unit: float, label: str) -> Bytes:
     """Return weights as terrain, (H, W) uint8 of 1 to 255.
 
-    A weight may be rounded as its dtype, or float16, rounds: the published Warcraft sets have
-    9.203125 for 9.2.
+    A weight may be rounded as its dtype, or a narrower one, rounds: 9.2 is 9.203125 in float16, as
+    in the published Warcraft sets.
 
     Args:
         weights: (H, W) numbers.
@@ -100,10 +100,10 @@ def _is_rounded(weights: Array, multiples: Array, dtype: np.dtype[np.generic]) -
         multiples: (H, W) float64, the nearest multiples of the unit.
         dtype: of the weights in the file.
     """
-    # Of one rounding step more, since a multiple may be the product of rounded numbers.
-    precision = np.finfo(dtype).eps if dtype.kind == "f" else 0.0
-    precision = max(float(precision), float(np.finfo(np.float64).eps) * 4)
-    is_near = np.abs(weights - multiples) <= precision * multiples
-    with np.errstate(over="ignore"):  # multiples above 65,504 become infinite in float16
-        halves = multiples.astype(np.float16).astype(np.float64)
-    return np.asarray(is_near | (weights == halves))
+    # Two roundings of the dtype are allowed, since a weight may be the product of rounded numbers.
+    precision = np.finfo(dtype if dtype.kind == "f" else np.float64).eps
+    is_rounded = np.abs(weights - multiples) <= float(precision) * multiples
+    for narrow in (np.float16, np.float32):  # weights that were saved in a narrower dtype before
+        with np.errstate(over="ignore"):  # multiples above 65,504 become infinite in float16
+            is_rounded |= weights == multiples.astype(narrow)
+    return np.asarray(is_rounded)

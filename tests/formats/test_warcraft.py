@@ -183,8 +183,8 @@ FAULTS = {
     "path of 2": "train_shortest_paths.npy: map 0: holds 2 to 2, expected only 0 and 1",
     "flat weights": "has shape (4, 30), expected (N, H, W)",
     "no maps": "has shape (0, 5, 6), expected (N, H, W)",
-    "huge": "expected 80 for its header and those of",
-    "wide": "expected 80 for its header and those of",
+    "huge": "has 128 bytes, expected 128 for its header and those of",
+    "wide": "has 128 bytes, expected 128 for its header and those of",
     "cut off": "expected 128 for its header and those of",
     "pickled": "holds pickled objects, expected numbers",
 }
