@@ -196,7 +196,7 @@ def export(
         DatasetNotFoundError: there is no dataset under ``root``.
         ShardError: it is damaged.
         ValueError: a target that is a URL, an unknown format or option, or what the format cannot
-            hold.
+            hold: no format has a place for the costs of terrain.
         OSError: the disk is full or may not be written to.
     """
     target = local_path(target)
@@ -205,6 +205,11 @@ def export(
     if not target.name.endswith(ending):
         raise ValueError(f"{target}: expected a name that ends with {ending}")
     source = Root.open(root, complete=True)
+    if source.has_terrain:
+        raise ValueError(
+            f"root: {source} has maps with terrain, but {format_name} has no costs of cells; "
+            "expected one of the formats arrays, parquet and warcraft"
+        )
     with new_output(target) as unfinished:
         notes: list[str] = write(unfinished, source, progress, **options)
     return notes
