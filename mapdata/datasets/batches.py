@@ -18,7 +18,7 @@ from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 
 from mapdata.arrays import Bytes, Flags, Float32s, Int32s, Ints, offsets_of
-from mapdata.datasets.fields import Paths, Rooms
+from mapdata.datasets.fields import Paths, Rooms, StoredMaps
 from mapdata.generators.maps import WORD, unpack_map
 from mapdata.jit import COMPILED, Int, kernel
 from mapdata.limits import MAX_ROOMS, SPLITS
@@ -435,6 +435,7 @@ class BatchReader:
         self.manifests = self.root.manifests
         self.map_size = self.root.map_size
         self.movement = self.root.movement
+        self.has_terrain = False
         self.max_seed_points = max(manifest.max_seed_points for manifest in self.manifests)
         if self.max_seed_points > MAX_ROOMS:
             raise ShardError(
@@ -579,17 +580,15 @@ class BatchReader:
         return count
 
     def grids(self, stored: StoredProblems) -> Bytes:
-        """Return the maps of problems, (B, H, W), inflated by the radius of the robot."""
-        grids = self.obstacles(stored)
-        if self.min_clearance > 1:  # a smaller clearance occupies no cell: spare the compilation
-            inflate_all(grids, self.min_clearance)
-        return grids
-
-    def obstacles(self, stored: StoredProblems) -> Bytes:
         """Return the maps of problems, (B, H, W), that are not inflated."""
         grids = np.empty((len(stored.shards), *self.map_size), np.uint8)
         read_maps(self._addresses, stored.shards, stored.maps, grids)
         return grids
+
+    def stored_maps(self, stored: StoredProblems, grids: Bytes) -> StoredMaps:
+        """Return the maps of problems, whose ``grids`` are read already, with terrain if any."""
+        first_maps = np.array([entry.start for _, _, entry in self.shards])
+        return StoredMaps(first_maps[stored.shards] + stored.maps, grids, None)
 
     def seed_points(self, stored: StoredProblems, rooms: Ints) -> Ints:
         """Return the seed point of room ``rooms[b]`` of each map, (B, 2)."""
