@@ -202,12 +202,14 @@ def _check_warcraft(columns: Columns, movement: Movement) -> None:
     is_occupied = columns["terrain"] == 0
     if is_occupied.any():
         raise ValueError(
-            "warcraft: got maps with occupied cells, whose weight 0 would be the cheapest; expected "
-            "free cells alone, as of the preset tiles"
+            "warcraft: got maps with occupied cells, whose weight 0 would be the cheapest; "
+            "expected free cells alone, as of the preset tiles"
         )
     rows, width = is_occupied.shape[2:]
     goal_corner = np.array([rows - 1, width - 1])
-    is_from_corner = (columns["start"] == 0).all(axis=1) & (columns["goal"] == goal_corner).all(axis=1)
+    is_from_corner = (columns["start"] == 0).all(axis=1) & (columns["goal"] == goal_corner).all(
+        axis=1
+    )
     if not is_from_corner.all():
         problem = int(is_from_corner.argmin())
         start = tuple(columns["start"][problem].tolist())

@@ -435,9 +435,7 @@ def _check_terrain(format: str, dataset: ProblemDataset, search: str) -> None:  
             f"{format}: got maps without terrain, expected costs of cells, as of the preset tiles"
         )
     if needs_terrain and search != "astar":
-        raise ValueError(
-            f"search: {format} holds cheapest paths, got {search!r}, expected 'astar'"
-        )
+        raise ValueError(f"search: {format} holds cheapest paths, got {search!r}, expected 'astar'")
 
 
 def _check_square_and_straight(format: str, dataset: ProblemDataset) -> None:  # noqa: A002
