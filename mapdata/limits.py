@@ -29,6 +29,7 @@ MAPS_AND_MASKS = (
     "map",
     "free",
     "terrain",
+    "image",
     "path_mask",
     "start_mask",
     "goal_mask",

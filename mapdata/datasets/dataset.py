@@ -43,6 +43,7 @@ from mapdata.datasets.fields import (
 )
 from mapdata.datasets.info import DatasetInfo, field_infos
 from mapdata.datasets.sample import Rows, Sample, cast, row, sample_class, stack
+from mapdata.datasets.tiles import Tiles
 from mapdata.generators.generator import UnknownFamily
 from mapdata.generators.recipe import Recipe
 from mapdata.limits import SPLITS, Size
@@ -310,7 +311,7 @@ class ProblemDataset(Dataset[Sample], ABC):
         """Return fields of a batch; a function gets the fields before it."""
         tensors: list[Tensor] = []
         for field in fields:
-            if isinstance(field, (str, Waypoints)):
+            if isinstance(field, (str, Waypoints, Tiles)):
                 compute = FIELDS[field] if isinstance(field, str) else field
                 array = np.ascontiguousarray(compute(batch))
                 tensors.append(torch.from_numpy(array))

@@ -31,6 +31,7 @@ from mapdata.datasets.terrain_field_kernels import (
     sum_terrain_steps,
     terrain_path_probabilities,
 )
+from mapdata.datasets.tiles import Tiles
 from mapdata.movement import Movement
 from mapdata.problems.symmetry import transform_grids
 from mapdata.search.api import SEARCHES, high_cost_complaint, search_terrains, solve_batch
@@ -204,7 +205,6 @@ class Batch:
     def _after_symmetries(self, grids: Bytes) -> Bytes:
         """Return stored grids or terrain, (B, H, W), after the symmetries of this batch."""
         return transform_grids(grids, self.symmetries) if self.symmetries.any() else grids
-
 
     @cached_property
     def rooms(self) -> Rooms:
@@ -506,6 +506,14 @@ def waypoints(batch: Batch) -> Float32s:
     return Waypoints()(batch)
 
 
+def image(batch: Batch) -> Bytes:
+    """``image``: (B, 3, k * H, k * W) uint8, a picture of the map as served, red, green and blue.
+
+    Each cell is a tile of k x k pixels, drawn by its cost. k is 8, or that of a `Tiles`.
+    """
+    return Tiles()(batch)
+
+
 Field = Callable[[Batch], Array]
 
 FIELDS: dict[str, Field] = {
@@ -534,6 +542,7 @@ FIELDS: dict[str, Field] = {
         seed_points,
         problem,
         waypoints,
+        image,
     )
 }
 """All fields by name."""

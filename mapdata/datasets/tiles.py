@@ -82,12 +82,12 @@ _COLOURS = (
     (218, 196, 138),  # sand
     (74, 124, 190),  # water
     (58, 104, 64),  # forest
-    (142, 100, 64),  # earth
+    (132, 106, 66),  # earth
     (150, 112, 164),  # heath
     (206, 124, 70),  # clay
-    (190, 186, 180),  # paving
+    (178, 184, 196),  # paving
     (76, 146, 136),  # swamp
-    (164, 64, 66),  # lava
+    (176, 52, 60),  # lava
 )
 """Mean colours by the lowest digit of a cost."""
 
@@ -422,7 +422,10 @@ def _add_noise(
     other_run = np.uint64(bounded(other_word, 0, last))
     for x in range(np.uint64(len(line))):
         noise = noise_bank[run + x] + noise_bank[other_run + x]
-        level = np.int16(line[x]) + ((noise + np.int16(_NOISE_UNIT // 2)) // np.int16(_NOISE_UNIT))
+        # Halves are rounded away from 0, so that the mean of the noise is 0.
+        sign = noise >> np.int16(15)
+        levels = (noise + sign + np.int16(_NOISE_UNIT // 2)) // np.int16(_NOISE_UNIT)
+        level = np.int16(line[x]) + levels
         line[x] = min(max(level, np.int16(0)), np.int16(255))
 
 
