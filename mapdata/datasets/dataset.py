@@ -653,6 +653,7 @@ class MapDataset(SampledProblemDataset):
             map_size=self.map_size,
             resolution=resolutions.pop() if len(resolutions) == 1 else None,
             movement=self.movement,
+            has_terrain=self.has_terrain,
             fields=field_infos(self._load(np.array([0]), 0)) if len(self) else None,
         )
 

@@ -135,6 +135,7 @@ class OnlineMapDataset(SampledProblemDataset):
             map_size=self.map_size,
             resolution=self.generator.resolution,
             movement=self.movement,
+            has_terrain=self.has_terrain,
             fields=field_infos(self._load(np.array([0]), 0)),
         )
 

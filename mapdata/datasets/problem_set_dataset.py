@@ -117,6 +117,7 @@ class ProblemSetDataset(ProblemDataset):
             map_size=self.map_size,
             resolution=None,
             movement=self.movement,
+            has_terrain=self.has_terrain,
             fields=field_infos(self._load(np.array([0]), 0)) if len(self) else None,
         )
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from matplotlib.image import AxesImage
 
     from mapdata.search.labels import Labels
 
@@ -52,7 +53,11 @@ _LANE_WIDTH = 1.6
 
 
 def plot_grid(
-    occupancy: ArrayLike, axes: Axes | None = None, *, paper_colours: bool = False
+    occupancy: ArrayLike,
+    axes: Axes | None = None,
+    *,
+    paper_colours: bool = False,
+    terrain: ArrayLike | None = None,
 ) -> Axes:
     """Draw a grid: free white and occupied black, or the opposite as in the paper's Figure 2.
 
@@ -60,6 +65,7 @@ def plot_grid(
         occupancy: (H, W), 0 free and 1 occupied.
         axes: where to draw; default a new figure.
         paper_colours: free black, occupied white.
+        terrain: (H, W), the cost of each cell, drawn as a shade of the free cells; high is dark.
     """
     axes = axes or new_axes()[0]
     if paper_colours:
@@ -72,7 +78,18 @@ def plot_grid(
         np.asarray(occupancy), cmap=colour_map, vmin=0, vmax=max_shade, interpolation="nearest"
     )
     axes.set(xlabel="column", ylabel="row")
+    if terrain is not None:
+        shade_cells(axes, np.asarray(terrain), np.asarray(occupancy) == 1)
     return axes
+
+
+def shade_cells(axes: Axes, numbers: Array, is_hidden: Array) -> AxesImage:
+    """Draw numbers (H, W) of the cells of a grid as shades from 0 on, but not where ``is_hidden``.
+
+    Lines stay visible on all shades.
+    """
+    shades = np.ma.masked_where(is_hidden, numbers)
+    return axes.imshow(shades, "YlOrBr", alpha=0.6, vmin=0, interpolation="nearest")
 
 
 def plot_map(
@@ -87,7 +104,7 @@ def plot_map(
         paper_colours: free black, occupied white.
     """
     maps = labels.maps
-    axes = plot_grid(maps.occupancy[i], axes, paper_colours=paper_colours)
+    axes = plot_grid_of_map(labels, i, axes, paper_colours)
     for search, lane in (("bfs", -1), ("astar", 1)):
         label = f"{NAMES[search]}, {labels.iterations(search, i).sum():,} iterations"
         for path in labels.route(search, i):
@@ -123,7 +140,7 @@ def plot_path(
     # Its kernels import numba, which most figures do not need.
     from mapdata.search.taut import pull_taut
 
-    axes = plot_grid(labels.maps.occupancy[i], axes, paper_colours=paper_colours)
+    axes = plot_grid_of_map(labels, i, axes, paper_colours)
     iterations = labels.iterations(search, i)
     route = labels.route(search, i)
     colours = PALETTE[:-1]  # all but black
@@ -271,6 +288,13 @@ def plot_cells(
     )
     x_and_y = path[:, ::-1]
     axes.add_collection(ArrowHeads(x_and_y, shifted, colour), autolim=False)
+
+
+def plot_grid_of_map(labels: Labels, i: int, axes: Axes | None, paper_colours: bool) -> Axes:
+    """Draw the grid of map ``i``, and its terrain if it has any."""
+    maps = labels.maps
+    terrain = None if maps.terrain is None else maps.terrain[i]
+    return plot_grid(maps.occupancy[i], axes, paper_colours=paper_colours, terrain=terrain)
 
 
 def _plot_seed_points(axes: Axes, labels: Labels, i: int) -> None:

@@ -13,7 +13,15 @@ from numpy.typing import ArrayLike
 
 from mapdata.arrays import Array, Ints
 from mapdata.limits import MAPS_AND_MASKS
-from mapdata.plotting.plot import COLOURS, mark, new_axes, plot_cells, plot_grid, put_header
+from mapdata.plotting.plot import (
+    COLOURS,
+    mark,
+    new_axes,
+    plot_cells,
+    plot_grid,
+    put_header,
+    shade_cells,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,7 +34,8 @@ def plot_sample(sample: tuple[Any, ...], axes: Axes | None = None) -> Axes:
     """Draw a sample of a dataset, or the first 9 of a batch.
 
     The figure shows the map, start S, goal G, path and waypoints, as far as the sample has these
-    fields, and its first dense field, such as ``cost_to_go``, as a shade. Masks are not drawn.
+    fields, and its first dense field, such as ``cost_to_go``, as a shade; without one the costs of
+    ``terrain``, unless all cells cost the same. Masks are not drawn.
 
     ``plot_sample(dataset[:9]).figure.savefig("batch.png")`` writes a picture.
 
@@ -66,11 +75,12 @@ def plot_sample(sample: tuple[Any, ...], axes: Axes | None = None) -> Axes:
         return all_axes[0]
     axes = plot_grid(grid[0], axes)
     dense_names = [name for name, field in fields.items() if _is_dense(name, field, grid)]
+    if not dense_names and "terrain" in fields and fields["terrain"].max() > 1:
+        dense_names = ["terrain"]
     if dense_names:
         name = dense_names[0]
         is_hidden = (grid == 1) | (fields[name] < 0)
-        shade = np.ma.masked_where(is_hidden, fields[name])
-        image = axes.imshow(shade[0], "YlOrBr", alpha=0.6, vmin=0, interpolation="nearest")
+        image = shade_cells(axes, fields[name][0], is_hidden[0])
         axes.figure.colorbar(image, ax=axes, label=name, shrink=0.8)
     title_parts = []
     if "path" in fields:
