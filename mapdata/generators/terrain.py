@@ -231,7 +231,7 @@ PRESETS = {
     "tiles": Terrain(
         (12, 12),
         costs=(8, 12, 53, 77, 92),
-        scale=4,
+        scale=5,
         obstacles=0.0,
         corners=True,
         movement=Movement(8, corner_cutting=True, diagonal_cost=1.0),
@@ -307,11 +307,12 @@ def _fill_levels(
     for k in range(map_count):
         _fill_noise(noise, seed, np.uint64(indices[k]), _HEIGHTS, scale)
         is_occupied = occupancy[k].reshape(-1)
-        free_cells = 0
+        occupied_cells = np.int64(0)
         for cell in range(rows * columns):
-            free_cells += 1 - np.int64(is_occupied[cell])
+            occupied_cells += is_occupied[cell]
             flat_noise[cell] = np.uint32(_LAST) if is_occupied[cell] else flat_noise[cell]
-        level_start = 0
+        free_cells = rows * columns - occupied_cells
+        level_start = np.int64(0)
         for level in range(len(costs)):
             # The limit is rounded to the nearest whole number of cells, halves up.
             level_end = (free_cells * np.int64(limits[level]) + 2**31) >> 32
@@ -423,13 +424,13 @@ def _fill_by_rank(cells: Bytes, noise: UInt32s, number_by_rank: Bytes, first_cel
     first_cells[:] = 0
     for cell in range(len(cells)):
         first_cells[np.int64(noise[cell])] += 1
-    rank = np.int32(0)
+    cells_below = np.int32(0)
     for height in range(len(first_cells)):
         cell_count = first_cells[height]
-        first_cells[height] = rank
-        rank += cell_count
+        first_cells[height] = cells_below
+        cells_below += cell_count
     for cell in range(len(cells)):
-        height = np.int64(noise[cell])
-        rank = first_cells[height]
-        first_cells[height] = rank + 1
+        noise_of_cell = np.int64(noise[cell])
+        rank = first_cells[noise_of_cell]
+        first_cells[noise_of_cell] = rank + 1
         cells[cell] = number_by_rank[rank]
