@@ -1,4 +1,6 @@
-"""Goal fields and A* on terrain beside scikit-image and pyastar2d: python -m benchmarks terrain.
+"""Goal fields and A* on terrain beside scikit-image and pyastar2d, and drawing terrain.
+
+Run it by python -m benchmarks terrain.
 
 scikit-image has our costs, where corners may be cut, and must find equal ones. pyastar2d charges
 the cost of the cell that a move enters, and its diagonals are no longer than its straight moves, so
@@ -8,6 +10,7 @@ that only its time is compared.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any, TypeAlias
 
@@ -16,7 +19,7 @@ import numpy.typing as npt
 
 import mapdata
 from benchmarks.measure import Peer, Row, each, interleaved, median_ratio, to_text
-from mapdata import Movement
+from mapdata import Movement, Terrain
 
 Bytes: TypeAlias = npt.NDArray[np.uint8]
 Cell: TypeAlias = tuple[int, int]
@@ -159,6 +162,29 @@ def rows_of(name: str, terrains: list[Bytes], rounds: int) -> list[Row]:
     ]
 
 
+def drawing_rows(rounds: int) -> list[Row]:
+    """Return the rows of drawing maps of terrain, in batches on one core."""
+    indices = np.arange(1000)
+    generators: dict[str, Terrain] = {
+        "preset terrain": Terrain.preset("terrain"),
+        "the same with corners": replace(Terrain.preset("terrain"), corners=True),
+        "preset tiles, 12 x 12": Terrain.preset("tiles"),
+    }
+    contestants: dict[str, Callable[[], object]] = {
+        name: partial(generator.draw, 0, indices) for name, generator in generators.items()
+    }
+    times = interleaved(contestants, rounds)
+    notes = {
+        name: f"{generator.max_seed_points} seed points" for name, generator in generators.items()
+    }
+    return [
+        Row(
+            f"draw a map, {name}", each(times[name], len(indices)), target="50 us", note=notes[name]
+        )
+        for name in generators
+    ]
+
+
 def table(quick: bool, parent: str | None = None) -> str:
     """Measure, and return the table; nothing is written."""
     rounds = 3 if quick else 9
@@ -166,6 +192,7 @@ def table(quick: bool, parent: str | None = None) -> str:
     rows = [
         row for name, terrains in maps_of(count).items() for row in rows_of(name, terrains, rounds)
     ]
+    rows += drawing_rows(rounds)
     notes = (
         f"medians of {rounds} repeats, the contestants taking turns; one thread; a ratio is the "
         "median of the repeats'",

@@ -44,7 +44,7 @@ from mapdata.datasets.fields import (
 from mapdata.datasets.info import DatasetInfo, field_infos
 from mapdata.datasets.sample import Rows, Sample, cast, row, sample_class, stack
 from mapdata.datasets.tiles import Tiles
-from mapdata.generators.generator import UnknownFamily
+from mapdata.generators.generator import unknown_family
 from mapdata.generators.recipe import Recipe
 from mapdata.limits import SPLITS, Size
 from mapdata.movement import Movement
@@ -637,7 +637,7 @@ class MapDataset(SampledProblemDataset):
             generator = manifest.generator
             recipe = None
             # `Recipe` refuses a generator whose family is not registered here.
-            is_registered = not isinstance(generator, UnknownFamily)
+            is_registered = unknown_family(generator) is None
             if generator is not None and is_registered and manifest.seed is not None:
                 recipe = Recipe(generator, manifest.seed, manifest.maps, manifest.content_hash)
             recipes.append(recipe)

@@ -527,7 +527,7 @@ def test_costs_that_are_too_high_are_refused_by_the_number_of_the_map(
 
 # --- shards ---------------------------------------------------------------------------------------
 
-OVER_MAZE = Terrain(costs=(1, 7, 30), scale=3, over=Maze((15, 17), corridor=2))
+OVER_MAZE = Terrain(costs=(1, 7, 30), scale=3, over=Maze((17, 21), corridor=3))
 
 FAMILIES: dict[str, Any] = {"terrain": "terrain", "tiles": "tiles", "over a maze": OVER_MAZE}
 
@@ -632,7 +632,7 @@ def test_roots_with_and_without_terrain_are_no_dataset(
     roots: dict[str, str], tmp_path: Path
 ) -> None:
     """Each is opened as a dataset of its own; the error says so."""
-    maze = Maze((15, 17), corridor=2)
+    maze = Maze((17, 21), corridor=3)
     build(tmp_path / "maze", maze, maps=4, seed=SEED, workers=1)
     fields = ("map", "terrain", "cost")
     with pytest.raises(ValueError, match="have terrain, .* open them as datasets of their own"):

@@ -25,8 +25,10 @@ from hypothesis import strategies as st
 
 from mapdata import (
     Cave,
+    MapDataset,
     MapGenerator,
     MapSpec,
+    Maze,
     Movement,
     ShardError,
     Terrain,
@@ -38,6 +40,7 @@ from mapdata import (
     repair,
     verify,
 )
+from mapdata.describe import card
 from mapdata.generators import UnknownFamily
 from mapdata.search.labels import Labels
 from mapdata.shards import MANIFEST, Manifest, Root, content_hash, open_shard, read_manifest
@@ -304,6 +307,39 @@ def test_roots_with_and_without_terrain_are_no_dataset(finished: Path, tmp_path:
             Root.open(roots)
 
 
+GOLDEN: dict[str, tuple[MapGenerator, str, str]] = {
+    "terrain": (
+        Terrain((20, 31), seed_points=4, movement=Movement(8), splits=(0.5, 0.25, 0.25)),
+        "73fd110295b425c4377556562d8d34f2227a8b615ac48b99e3a8b14441dbc125",
+        "ae903a386fb05e0cf06cf042c71c3a2b28be7870bf54e6552d38018b086c2d51",
+    ),
+    "tiles": (
+        MapGenerator.preset("tiles"),
+        "0ede4016f19c05aa98df10d3f075f4d85fd824064578eef8558667ff8a918faa",
+        "6d0db4f6e8cc4f9433987d0518e076e2f19f8edbc310ab8e705b63d352f8e11d",
+    ),
+    "over a maze": (
+        Terrain(
+            costs=(1, 5, 200),
+            over=Maze((20, 31), corridor=2, reopened=0.1, seed_points=4, splits=(0.5, 0.25, 0.25)),
+        ),
+        "2d19e77c47874c9560543e4185545e8ad3d1dcfebb8a6bcb7865f17e8b8f0eaf",
+        "74184bc23b6ef8e16bd7dac9746152e9f274fb00e0280418ca684172aaab588a",
+    ),
+}
+"""Generator, identity and content hash of maps 0 .. 29 with seed 7. They must never change."""
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_identity_and_content_are_those_of_the_page(name: str) -> None:
+    """Golden hashes of version 3; tests/data has those of imported terrain."""
+    generator, stated_identity, stated_content = GOLDEN[name]
+    assert identity(generator, 7) == stated_identity
+    assert content_hash(label(generate(generator, 7, range(30)))) == stated_content
+    page = (Path(__file__).parents[2] / "docs" / "format.md").read_text(encoding="utf-8")
+    assert f"| `{stated_identity}` | `{stated_content}` |" in page
+
+
 # --- damage -------------------------------------------------------------------------------------
 
 
@@ -559,6 +595,30 @@ def test_an_unknown_family_with_terrain_is_read(unknown: tuple[Path, MapGenerato
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         assert verify(root) == []
+
+
+def test_terrain_over_an_unknown_family_is_read(tmp_path: Path) -> None:
+    """It is verified, its card names the module, and damage is reported as beyond repair."""
+    (tmp_path / "pillars.py").write_text(PILLARS, encoding="utf-8")
+    sys.path.insert(0, str(tmp_path))
+    __import__("pillars")
+    sys.path.remove(str(tmp_path))
+    generator = Terrain(over=MapGenerator.preset("columns"))
+    root = tmp_path / "maps"
+    build(root, generator, maps=6, seed=3, shard_size=4, workers=1)
+    assert "--import pillars" in card(root)
+    forget("pillars", "columns")
+    manifest = read_manifest(root)
+    assert (manifest.format_version, manifest.identity) == (3, identity(generator, 3))
+    assert manifest.max_seed_points == 4
+    assert MapDataset(root).info.recipes == (None,)
+    with pytest.warns(UserWarning, match="'pillars' is not known here"):
+        assert verify(root) == []
+    assert "with the module of the family pillars" in card(root)
+    path = first_shard(root)
+    path.write_bytes(path.read_bytes()[:-1])
+    (fault,) = repair(root)
+    assert "it cannot be made again: the family 'pillars' is not known here" in str(fault)
 
 
 def test_the_known_family_reads_what_the_unknown_one_was(
