@@ -148,14 +148,16 @@ def read_any(
 def read_problems(source: StrPath, limits: Limits = LIMITS, **options: object) -> ProblemSet:
     """Read the problems of a file or folder, to compare planners on or to train on.
 
-    That is a MovingAI .scen, an .npz of planning-datasets, a folder of TransPath, or an .npz that
-    `ProblemSet.save` wrote. `mapdata.ProblemSetDataset` serves them as torch samples.
+    That is a MovingAI .scen, an .npz of planning-datasets or of tile-based sets, a folder of
+    TransPath or of Warcraft sets, or an .npz that `ProblemSet.save` wrote.
+    `mapdata.ProblemSetDataset` serves them as torch samples.
 
     Args:
         source: the file or folder.
         limits: of what is read, and whether a progress bar shows it.
         options: those of the format's ``problems``: ``count`` and ``maps`` of a .scen, ``seed`` of
-            planning-datasets, ``split`` and ``count`` of TransPath.
+            planning-datasets, ``split`` and ``count`` of TransPath, and these and ``unit`` of
+            Warcraft and tile-based sets.
 
     Raises:
         ValueError: no such file, no problems in it, or bad ones; the message names the file.

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -38,9 +38,17 @@ from mapdata.formats.files import (
 )
 from mapdata.formats.registry import Format
 from mapdata.formats.warcraft import MOVEMENT, PathCheck, cells_of_path
-from mapdata.formats.weights import UNIT, check_unit, check_weights, to_terrain
+from mapdata.formats.weights import (
+    UNIT,
+    check_unit,
+    check_weights,
+    only_path_of_split,
+    problem_set,
+    to_terrain,
+)
 from mapdata.limits import Cell, Size
 from mapdata.npy import FormatError, Npz, StoredArray
+from mapdata.problems.problem_set import ProblemSet
 
 _ARRAYS = ("maps", "costs", "targets", "sources", "paths")
 """The arrays by which a file is recognised."""
@@ -159,12 +167,12 @@ def _read_maps(file: _TileFile, split: int | None, unit: float) -> list[ForeignM
     for number, (weights, targets, sources, paths) in enumerate(entries):
         name = f"{file.path}: map {number}"
         terrain = to_terrain(weights, unit, name)
-        problems = _problems(name, terrain.shape, targets, sources, paths)
-        cells = [cell for problem in problems for cell in (problem.target, problem.source)]
+        tile_problems = _tile_problems(name, terrain.shape, targets, sources, paths)
+        cells = [cell for problem in tile_problems for cell in (problem.target, problem.source)]
         # A cell that stands in several problems is one seed point.
         numbers = {cell: k for k, cell in enumerate(dict.fromkeys(cells))}
         marked_cells: dict[tuple[int, int], Flags] = {}
-        for problem in problems:
+        for problem in tile_problems:
             first, second = sorted((numbers[problem.target], numbers[problem.source]))
             marked_cells[first, second] = problem.is_marked
         maps.append(
@@ -181,6 +189,44 @@ def _read_maps(file: _TileFile, split: int | None, unit: float) -> list[ForeignM
     return maps
 
 
+def problems(
+    source: Path,
+    limits: Limits = LIMITS,
+    *,
+    split: Literal["train", "val", "test"] = "test",
+    count: int | None = None,
+    unit: float = UNIT,
+) -> ProblemSet:
+    """Return the problems of a split, each from a source to its target.
+
+    Problems from a cell to itself are left out.
+
+    Args:
+        source: folder of one set, or an .npz.
+        limits: of what is read.
+        split: the split to read, where ``source`` is a folder.
+        count: maximal number of problems, evenly spread over the file; default all.
+        unit: as in `read`.
+
+    Raises:
+        FormatError: files that `read` refuses; no file of the split, or several.
+    """
+    paths = list(files_with_endings(source, (".npz",), limits, Collection()))
+    splits = [_split_of(path, source) for path in paths]
+    path = only_path_of_split(paths, splits, source, split)
+    file = _open(path, limits)
+    maps = _read_maps(file, None, check_unit(unit))
+    cells = []
+    for number, (targets, sources) in enumerate(
+        zip(file.targets.entries(), file.sources.entries(), strict=True)
+    ):
+        for target_number, source_number in np.ndindex(sources.shape[:2]):
+            start = _cell(sources[target_number, source_number], maps[number].shape, str(path))
+            goal = _cell(targets[target_number], maps[number].shape, str(path))
+            cells.append((number, start, goal))
+    return problem_set(maps, cells, MOVEMENT, path, count)
+
+
 class _TileProblem(NamedTuple):
     """A problem of a map.
 
@@ -195,7 +241,7 @@ class _TileProblem(NamedTuple):
     is_marked: Flags
 
 
-def _problems(
+def _tile_problems(
     name: str, shape: Size, targets: Array, sources: Array, paths: Array
 ) -> list[_TileProblem]:
     """Return the problems of a map, target by target.
@@ -210,19 +256,19 @@ def _problems(
     Raises:
         FormatError: a cell outside the map, or a path of other numbers than 0 and 1.
     """
-    problems = []
+    tile_problems = []
     for target_number, target in enumerate(targets):
         for source_number, source in enumerate(sources[target_number]):
             problem_name = f"{name}: target {target_number}, source {source_number}"
             path = paths[target_number, source_number]
-            problems.append(
+            tile_problems.append(
                 _TileProblem(
                     target=_cell(target, shape, f"{name}: target {target_number}"),
                     source=_cell(source, shape, problem_name),
                     is_marked=cells_of_path(path, f"{problem_name}: path"),
                 )
             )
-    return problems
+    return tile_problems
 
 
 def _cell(numbers: Array, shape: Size, label: str) -> Cell:
@@ -242,4 +288,4 @@ def _cell(numbers: Array, shape: Size, label: str) -> Cell:
     return int(row), int(column)
 
 
-FORMAT = Format("tilebased", (".npz",), read, recognises=is_tilebased)
+FORMAT = Format("tilebased", (".npz",), read, problems=problems, recognises=is_tilebased)

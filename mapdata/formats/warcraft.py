@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -33,10 +33,18 @@ from mapdata.arrays import Array, Bytes, Flags
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, SPLIT_NAMES, Limits, files_below
 from mapdata.formats.registry import Format
-from mapdata.formats.weights import UNIT, check_unit, check_weights, read_terrain
+from mapdata.formats.weights import (
+    UNIT,
+    check_unit,
+    check_weights,
+    only_path_of_split,
+    problem_set,
+    read_terrain,
+)
 from mapdata.limits import Cell
 from mapdata.movement import Movement
 from mapdata.npy import FormatError, StoredArray, open_npy
+from mapdata.problems.problem_set import ProblemSet
 from mapdata.search.api import distance_field
 from mapdata.search.labels import Labels
 from mapdata.shards.workers import bar
@@ -65,12 +73,29 @@ class _SplitFiles(NamedTuple):
 
 
 def is_warcraft(path: Path) -> bool:
-    """Return whether an .npy file is one of the three of a split, by its name and its folder."""
-    for ending in _ENDINGS:
-        if path.name.endswith(ending):
-            prefix = path.name.removesuffix(ending)
-            return path.with_name(prefix + _WEIGHTS).is_file()
-    return False
+    """Return whether an .npy file is one of the three of a split, by its name and its folder.
+
+    Files of such a name may be others, if the folder has no weights at all.
+    """
+    return path.name.endswith(_ENDINGS) and any(path.parent.glob(f"*{_WEIGHTS}"))
+
+
+def _weights_paths(source: Path, limits: Limits, collection: Collection) -> list[Path]:
+    """Return the path of the weights of each split, whichever of its files exist.
+
+    Args:
+        source: folder, or the file of the weights of a split.
+        limits: of the number of files.
+        collection: files that `files_below` refuses are added to its ``left_out``.
+    """
+    if not source.is_dir():
+        return [source]
+    paths = []
+    for path in files_below(source, _ENDINGS, limits, collection):
+        for ending in _ENDINGS:
+            if path.name.endswith(ending):
+                paths.append(path.with_name(path.name.removesuffix(ending) + _WEIGHTS))
+    return list(dict.fromkeys(paths))
 
 
 def read(source: Path, limits: Limits = LIMITS, *, unit: float = UNIT) -> Collection:
@@ -90,9 +115,7 @@ def read(source: Path, limits: Limits = LIMITS, *, unit: float = UNIT) -> Collec
     """
     unit = check_unit(unit)
     collection = Collection(movement=MOVEMENT)
-    paths = [source]
-    if source.is_dir():
-        paths = files_below(source, (_WEIGHTS,), limits, collection)
+    paths = _weights_paths(source, limits, collection)
     opened: list[_SplitFiles] = []
     for path in paths:
         # If the user named this file, its error is raised and not only noted.
@@ -181,6 +204,35 @@ def _read_maps(files: _SplitFiles, unit: float) -> list[ForeignMap]:
     return maps
 
 
+def problems(
+    source: Path,
+    limits: Limits = LIMITS,
+    *,
+    split: Literal["train", "val", "test"] = "test",
+    count: int | None = None,
+    unit: float = UNIT,
+) -> ProblemSet:
+    """Return the problems of a split, each from the upper left to the lower right cell.
+
+    Args:
+        source: folder of one set, or file ``SPLIT_vertex_weights.npy``.
+        limits: of what is read.
+        split: the split to read, where ``source`` is a folder.
+        count: maximal number of problems, evenly spread over the file; default all.
+        unit: as in `read`.
+
+    Raises:
+        FormatError: files that `read` refuses; no file of the split, or several.
+    """
+    paths = _weights_paths(source, limits, Collection())
+    splits = [SPLIT_NAMES.get(path.name.removesuffix(_WEIGHTS).lower()) for path in paths]
+    path = only_path_of_split(paths, splits, source, split)
+    maps = _read_maps(_open(path, limits), check_unit(unit))
+    rows, columns = maps[0].shape
+    corner_problems = [(number, (0, 0), (rows - 1, columns - 1)) for number in range(len(maps))]
+    return problem_set(maps, corner_problems, MOVEMENT, path, count)
+
+
 def cells_of_path(marks: Array, label: str) -> Flags:
     """Return which cells, (H, W) bool, are marked as cells of a path.
 
@@ -254,4 +306,4 @@ def _is_shortest(
     return bool(distance_field(blocked, goal, movement)[start] >= 0)
 
 
-FORMAT = Format("warcraft", (".npy",), read, recognises=is_warcraft)
+FORMAT = Format("warcraft", (".npy",), read, problems=problems, recognises=is_warcraft)

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
 from mapdata.arrays import Array, Bytes
-from mapdata.formats.files import Limits
+from mapdata.formats.collection import ForeignMap
+from mapdata.formats.files import Limits, sampling_step
+from mapdata.limits import SPLITS, Cell
+from mapdata.movement import Movement
 from mapdata.npy import FormatError, StoredArray
+from mapdata.problems.problem_set import ProblemSet
 
 UNIT = 0.1
 """The weight that becomes a cost of 1: published sets have weights such as 0.8 and 9.2."""
@@ -61,6 +66,79 @@ def read_terrain(array: StoredArray, unit: float) -> Iterator[Bytes]:
     """
     for number, weights in enumerate(array.entries()):
         yield to_terrain(weights, unit, f"{array.label}: map {number}")
+
+
+def problem_set(
+    maps: list[ForeignMap],
+    problems: list[tuple[int, Cell, Cell]],
+    movement: Movement,
+    source: Path,
+    count: int | None,
+) -> ProblemSet:
+    """Return problems on maps with terrain, without those from a cell to itself.
+
+    Args:
+        maps: with terrain, all of one size.
+        problems: number of the map, start and goal of each problem.
+        movement: the rule of moves.
+        source: the file, for the description and for errors.
+        count: maximal number of problems, evenly spread; default all.
+
+    Raises:
+        FormatError: there is no problem.
+    """
+    problems = [problem for problem in problems if problem[1] != problem[2]]
+    if not problems:
+        raise FormatError(f"{source}: has no problem between two cells")
+    total = len(problems)
+    step = 1 if count is None else sampling_step(total, count)
+    problems = problems[::step]
+    description = f"{total} problems of {source}"
+    if step > 1:
+        description = f"{len(problems)} of {total} problems of {source}, one in {step}"
+    terrain = np.stack([_terrain_of(maps[number]) for number, _, _ in problems])
+    return ProblemSet(
+        (terrain == 0).astype(np.uint8),
+        np.array([start for _, start, _ in problems]),
+        np.array([goal for _, _, goal in problems]),
+        movement,
+        description,
+        terrain,
+    )
+
+
+def _terrain_of(foreign_map: ForeignMap) -> Bytes:
+    """Return the terrain of a map that has some."""
+    if foreign_map.terrain is None:
+        raise TypeError(f"{foreign_map.name}: expected a map with terrain")
+    return foreign_map.terrain
+
+
+def only_path_of_split(
+    paths: list[Path], splits: list[int | None], source: Path, split: str
+) -> Path:
+    """Return the only one of several files that holds a split.
+
+    Args:
+        paths: the files below ``source``.
+        splits: the code of each file's split; None if it is not known.
+        source: the folder, or the file itself, whatever its split.
+        split: train, val or test.
+
+    Raises:
+        FormatError: no file holds the split, or several do.
+    """
+    if source.is_file():
+        return source
+    code = SPLITS.index(split)
+    chosen = [path for path, known in zip(paths, splits, strict=True) if known == code]
+    if len(chosen) == 1:
+        return chosen[0]
+    names = ", ".join(str(path.relative_to(source)) for path in paths)
+    raise FormatError(
+        f"{source}: holds {len(chosen)} files of the split {split!r} among {names}; expected one, "
+        "or name a single file"
+    )
 
 
 def to_terrain(weights: Array, unit: float, label: str) -> Bytes:

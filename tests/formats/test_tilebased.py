@@ -11,7 +11,7 @@ from helpers.weighted import draw_costs, shortest_path, tile_arrays
 from helpers.wild import cli, npy, npz
 
 from mapdata import Movement, read_shard
-from mapdata.formats import FormatError, Limits, read_any, recognise
+from mapdata.formats import FormatError, Limits, read_any, read_problems, recognise
 from mapdata.shards import read_manifest
 
 SPLITS = {"train": 3, "val": 1, "test": 2}
@@ -151,3 +151,25 @@ def test_a_missing_array_and_headers_that_lie_are_refused(folder: Path, tmp_path
         read_any(tmp_path / "huge.npz", "tilebased")
     with pytest.raises(FormatError, match=r"unpack to [0-9]+ bytes, expected at most 100"):
         read_any(folder / "train.npz", limits=Limits(unpacked=100))
+
+
+def test_problems_to_compare_planners_on_are_those_of_a_split(folder: Path) -> None:
+    """From each source to its target, but not from a cell to itself."""
+    with np.load(folder / "test.npz") as file:
+        arrays = dict(file)
+    arrays["sources"][0, 1, 2] = arrays["targets"][0, 1]
+    np.savez(folder / "test.npz", **arrays)
+    problems = read_problems(folder)
+    expected = []
+    for number, target, source in np.ndindex(2, 2, 3):
+        start = tuple(arrays["sources"][number, target, source].tolist())
+        goal = tuple(arrays["targets"][number, target].tolist())
+        costs = np.rint(arrays["costs"][number] * 10).astype(np.int64)
+        if start != goal:
+            vertex_sum, _ = shortest_path(costs, start, goal)
+            cost = vertex_sum - int(costs[start] + costs[goal]) / 2
+            expected.append((start, goal, cost))
+    found = zip(problems.starts, problems.goals, problems.optimal.cost, strict=True)
+    assert [(tuple(start), tuple(goal), cost) for start, goal, cost in found] == expected
+    assert len(read_problems(folder, split="train", count=5)) == 5
+    assert len(read_problems(folder / "val.npz")) <= 6

@@ -13,7 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mapdata import MapDataset, Movement, read_shard
-from mapdata.formats import FormatError, Limits, import_maps, read_any, recognise
+from mapdata.formats import (
+    FormatError,
+    Limits,
+    import_maps,
+    read_any,
+    read_problems,
+    recognise,
+)
 from mapdata.formats.weights import to_terrain
 from mapdata.shards import read_manifest, verify
 
@@ -148,7 +155,7 @@ def test_copies_across_splits_are_counted_by_their_costs(
 def fault(folder: Path, name: str) -> None:
     """Change a file of the training split in one way."""
     path = folder / "train_vertex_weights.npy"
-    if name in ("_maps", "_shortest_paths"):
+    if name in ("_maps", "_shortest_paths", "_vertex_weights"):
         (folder / f"train{name}.npy").unlink()
     elif name == "pictures of another size":
         np.save(folder / "train_maps.npy", np.zeros((4, 10, 11, 3), np.uint8))
@@ -175,6 +182,7 @@ def fault(folder: Path, name: str) -> None:
 
 
 FAULTS = {
+    "_vertex_weights": "train_vertex_weights.npy: no such file",
     "_maps": "train_maps.npy: no such file",
     "_shortest_paths": "train_shortest_paths.npy: no such file",
     "pictures of another size": "has shape (4, 10, 11, 3), expected (4, k 5, k 6, 3)",
@@ -258,3 +266,22 @@ def test_tiles_of_a_map_keep_their_terrain(folder: Path, tmp_path: Path) -> None
     first = costs_by_split()["train"][0]
     np.testing.assert_array_equal(labels.maps.terrain[1], first[:2, 3:])
     np.testing.assert_array_equal(labels.maps.terrain[2], first[2:4, :3])
+
+
+def test_problems_to_compare_planners_on_are_those_of_a_split(folder: Path) -> None:
+    """Every k-th with a count; the optimal costs are those of a Dijkstra of the test."""
+    costs = costs_by_split()
+    for split, source in (("test", folder), ("train", folder / "train_vertex_weights.npy")):
+        problems = read_problems(source)
+        assert problems.terrain is not None
+        np.testing.assert_array_equal(problems.terrain, costs[split])
+        for k, grid in enumerate(costs[split]):
+            vertex_sum, _ = shortest_path(grid, (0, 0), (4, 5))
+            ends = int(grid[0, 0] + grid[4, 5])
+            assert problems.optimal.cost[k] == vertex_sum - ends / 2
+    selected = read_problems(folder, split="train", count=2)
+    np.testing.assert_array_equal(selected.terrain, costs["train"][::2])
+    for path in folder.glob("val_*"):
+        path.unlink()
+    with pytest.raises(FormatError, match=r"holds 0 files of the split 'val' among test_vertex"):
+        read_problems(folder, split="val")
