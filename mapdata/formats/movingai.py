@@ -535,9 +535,8 @@ def read(
         count = letter_counts[ord(letter)]
         has_cost = cost_by_code is not None and cost_by_code[ord(letter)] > 0
         if count and not has_cost:
-            collection.notes.append(
-                f"{count} cells of {name} ({letter}) are occupied: nothing leads there from land"
-            )
+            reason = "nothing leads there from land" if costs is None else "they have no cost"
+            collection.notes.append(f"{count} cells of {name} ({letter}) are occupied: {reason}")
     return collection
 
 

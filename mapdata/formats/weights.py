@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -170,7 +171,7 @@ def to_terrain(weights: Array, unit: float, label: str) -> Bytes:
     return costs.astype(np.uint8)
 
 
-def _is_rounded(weights: Array, multiples: Array, dtype: np.dtype[np.generic]) -> Array:
+def _is_rounded(weights: Array, multiples: Array, dtype: np.dtype[Any]) -> Array:
     """Return whether weights are multiples of the unit, up to the rounding of floats.
 
     Args:

@@ -619,7 +619,7 @@ def test_letters_with_costs_become_terrain(
     assert (
         "costs of the letters: . 1 (13 cells), G 1 (1 cells), S 3 (1 cells), W 5 (6 cells)" in out
     )
-    assert "1 cells of trees (T) are occupied" in out
+    assert "1 cells of trees (T) are occupied: they have no cost" in out
     assert "of water" not in out
     manifest = read_manifest(tmp_path / "data")
     assert manifest.movement == Movement(8)

@@ -6,6 +6,7 @@ import math
 import re
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -542,7 +543,7 @@ def test_a_saved_topic_has_costs_from_0_to_100(tmp_path: Path) -> None:
     ],
 )
 def test_a_costmap_with_a_fault_is_left_out(
-    fields: dict[str, str], options: dict[str, object], reason: str, tmp_path: Path
+    fields: dict[str, str], options: dict[str, Any], reason: str, tmp_path: Path
 ) -> None:
     """The message says what to do."""
     path = write_costmap(tmp_path, COSTS, **fields)
