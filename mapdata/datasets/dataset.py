@@ -113,11 +113,12 @@ class SampledProblems(NamedTuple):
         """
         self.grids[rows] = replacements.grids
         self.ends[rows] = replacements.ends
-        # Without inflation the stored grids are those above.
-        arrays = zip(self.stored_maps, replacements.stored_maps, strict=True)
-        for array, new_rows in arrays:
-            if array is not None:
-                array[rows] = new_rows
+        stored_maps = self.stored_maps
+        new_maps = replacements.stored_maps
+        stored_maps.numbers[rows] = new_maps.numbers
+        stored_maps.grids[rows] = new_maps.grids  # without inflation these are the grids above
+        if stored_maps.terrain is not None and new_maps.terrain is not None:
+            stored_maps.terrain[rows] = new_maps.terrain
         if self.paths is None or replacements.paths is None:
             return self
         return self._replace(paths=self.paths.with_rows(rows, replacements.paths))
@@ -257,8 +258,8 @@ class ProblemDataset(Dataset[Sample], ABC):
         """Draw a problem: its map, start S, goal G and path, whichever fields are served.
 
         The first dense field among the served ones, such as ``cost_to_go``, is drawn as a shade;
-        without one, the costs of the terrain if the maps have any. A ``transform`` is not applied. ``dataset.plot(0).figure.savefig("map.png")`` writes a
-        picture.
+        without one, the costs of the terrain if the maps have any. A ``transform`` is not applied.
+        ``dataset.plot(0).figure.savefig("map.png")`` writes a picture.
 
         Args:
             index: which problem, or up to 9 of several for a grid of them.

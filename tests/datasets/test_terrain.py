@@ -256,7 +256,8 @@ def assert_symmetric_fields_fit(sample: Sample, movement: Movement) -> None:
 
 def samples_row(batch: Sample, k: int) -> Sample:
     """Return sample k of a batch."""
-    return batch._make(tensor[k] for tensor in batch)
+    sample: Sample = batch._make(tensor[k] for tensor in batch)
+    return sample
 
 
 def transformed(grid: Array, code: int) -> Array:
@@ -388,6 +389,7 @@ def test_a_batch_keeps_the_stored_maps_beside_the_served_ones() -> None:
     np.testing.assert_array_equal(batch.stored_terrain, drawn.terrain)
     np.testing.assert_array_equal(batch.stored_grids, drawn.occupancy)
     assert batch.terrain is not None
+    assert batch.stored_terrain is not None
     for k, code in enumerate(batch.symmetries.tolist()):
         inflated = inflate_terrain(batch.stored_terrain[k], 0.1 / SQUARE.resolution)
         np.testing.assert_array_equal(batch.terrain[k], transformed(inflated, code))
@@ -519,9 +521,10 @@ def test_costs_that_are_too_high_are_refused_by_the_number_of_the_map(
     options: dict[str, Any] = {"fields": (field,), "problems": problems, "sampling_seed": 1}
     assert len(OnlineMapDataset(generator, 0, 4, **options)[:2][0]) == 2
     dataset = OnlineMapDataset(generator, 0, 4, **options)
+    epochs = 20
+    numbers = np.arange(4 * epochs)
     with pytest.raises(ValueError, match=r"map [23]: terrain: a path costs 1,\d\d\d,\d\d\d"):
-        for epoch in range(20):
-            dataset.__getitems__(np.arange(4) + 4 * epoch)
+        [dataset.__getitems__(batch) for batch in np.split(numbers, epochs)]
     one_cost = Movement(8, diagonal_cost=1)
     assert len(OnlineMapDataset(generator, 0, 4, movement=one_cost, **options)[:][0]) == 4
 
@@ -636,7 +639,7 @@ def test_roots_with_and_without_terrain_are_no_dataset(
     maze = Maze((17, 21), corridor=3)
     build(tmp_path / "maze", maze, maps=4, seed=SEED, workers=1)
     fields = ("map", "terrain", "cost")
-    with pytest.raises(ValueError, match="have terrain, .* open them as datasets of their own"):
+    with pytest.raises(ValueError, match=r"have terrain, .* open them as datasets of their own"):
         MapDataset([roots["over a maze"], str(tmp_path / "maze")], fields=fields)
     costly = MapDataset(roots["over a maze"], fields=fields)
     uniform = MapDataset(tmp_path / "maze", fields=fields)
