@@ -25,7 +25,6 @@ from torch.utils.data import DataLoader
 
 from mapdata import (
     MapGenerator,
-    Movement,
     OnlineMapDataset,
     ProblemSet,
     ProblemSetDataset,
@@ -233,7 +232,7 @@ def table(rows: list[dict[str, Any]]) -> str:
     """Return the rows as a Markdown table, the seeds of a training as one row of means."""
     frame = pd.DataFrame(rows)
     lines = [
-        "| maps | taught by | training maps | optimal paths | regret | new textures: optimal | regret |",
+        "| maps | taught by | training maps | optimal | regret | new textures: optimal | regret |",
         "|---|---|---|---|---|---|---|",
     ]
     taught_by = {
