@@ -150,7 +150,7 @@ def test_predicted_costs_to_go_are_the_heuristic_over_the_mean_ratio_of_both_vie
     with model.inference():
         ratios = model(occupied, goals)[1]
         ratios += model(occupied.flip(2, 3), last_cell - goals)[1].flip(1, 2)
-    ratios /= 2
+        ratios /= 2
     assert 0.05 < (ratios < 0.05).float().mean() < 0.95
     cells = np.argwhere(np.ones((16, 24)))
     for k, goal in enumerate(ends):
