@@ -24,7 +24,7 @@ import json
 import re
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -301,8 +301,13 @@ def table_of_hmeans(results: Results) -> str:
     return markdown(rows)
 
 
-def summary(results: Results) -> str:
-    """Return the first table of docs/planners.md."""
+def zero_shot_name(map_name: str, size: int, ending: str) -> str:
+    """Return the name of the set of problems on windows of a map, which zero_shot.py draws."""
+    return f"{map_name}-{size}{ending}-windows"
+
+
+def summary(results: Results, names: Iterable[str]) -> str:
+    """Return a table of one row for each set: the goal field, jump points and the network."""
     rows = [
         [
             "set",
@@ -318,11 +323,10 @@ def summary(results: Results) -> str:
             "best weighted A* or greedy: Hmean",
         ]
     ]
-    for name in SETS:
-        table = results.table(name)
-        if name not in results.sets or SEARCH not in set(table["planner"]):
+    for name in names:
+        table = results.table(name).set_index("planner")
+        if SEARCH not in table.index:
             continue
-        table = table.set_index("planner")
         field, search = table.loc[GOAL_FIELD], table.loc[SEARCH]
         jumps = ["-"] * 4
         if JUMP_POINTS in table.index:
@@ -448,7 +452,12 @@ def write_pages(results: Results, folder: Path) -> None:
     """Write planner_tables.md, and the tables of planners.md, of a folder."""
     (folder / "planner_tables.md").write_text(page_of_sets(results), encoding="utf-8")
     page = folder / "planners.md"
-    tables = {"summary": summary(results), "transfer": table_of_transfer(results)}
+    windows = [name for name in results.sets if name.endswith("-windows")]
+    tables = {
+        "summary": summary(results, [name for name in SETS if name in results.sets]),
+        "zero-shot": summary(results, windows),
+        "transfer": table_of_transfer(results),
+    }
     tables |= tables_of_files(results)
     page.write_text(filled(page.read_text(encoding="utf-8"), tables), encoding="utf-8")
 
