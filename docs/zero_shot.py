@@ -24,6 +24,7 @@ from planner_tables import (
     DOCS,
     RULES,
     all_planners,
+    measured,
     own_planner,
     table_of,
     words_of,
@@ -31,7 +32,7 @@ from planner_tables import (
     zero_shot_name,
 )
 
-from mapdata import Movement, ProblemSet, evaluate
+from mapdata import Movement, ProblemSet
 from mapdata.arrays import Bytes
 from mapdata.formats import read_any
 from mapdata.search import distance_field
@@ -120,8 +121,7 @@ def main(arguments: list[str] | None = None) -> None:
             continue
         name = zero_shot_name(map_name, options.size, ending)
         results.add_set(name, problems)
-        table = evaluate(rows(movement), problems)
-        results.add_rows(name, table[table["subset"] == "hard"], run)
+        results.add_rows(name, measured(rows(movement), problems), run)
         results.write(path)
         print(f"{name}\n\n{table_of(results, name)}\n", flush=True)
     write_pages(results, options.folder)
