@@ -21,11 +21,14 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import math
 import re
 import sys
+import time
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytorch_lightning as pl
@@ -35,7 +38,7 @@ from planner_results import Results, this_run
 from mapdata import MapDataModule, MapGenerator, MapSpec, Maze, Movement, ProblemSet, evaluate
 from mapdata.arrays import Bytes
 from mapdata.cli import load_problems
-from mapdata.evaluation import BatchPlanner, Plan, Planner, classical, with_interval
+from mapdata.evaluation import BatchPlanner, Plan, Planner, classical
 from mapdata.limits import Cell
 from mapdata.models import GuidedSearch, NeuralAstar, PathPredictor, fast_precision, planners
 from mapdata.models.evaluate import SHIPPED, load_weights
@@ -86,6 +89,9 @@ SETS = {
 }
 """The sets by name, in the order of the tables: the name of a generator, and that of a rule."""
 
+FIRST_SETS = [name for name, (_, ending) in SETS.items() if not ending]
+"""The sets of the first table of planners.md: 8 moves that cut no corner."""
+
 FAMILIES = ("dungeon", "maze", "cave", "forest", "noise")
 """Of the table of transfer."""
 
@@ -102,6 +108,9 @@ COLUMNS = {
     "hmean": "Hmean",
 }
 """Columns of the tables, and their headings."""
+
+SHORT = ("ms_batched", "expansion_ratio", "opt", "cost_ratio", "hmean")
+"""Columns of the tables of planners.md."""
 
 WITH_INTERVAL = ("expansion_ratio", "opt", "cost_ratio", "p_exp", "hmean")
 
@@ -150,6 +159,41 @@ class InBatches:
         return self.plans[grid.tobytes(), start, goal]
 
 
+def processor_ms(solve: Callable[[slice], object], batches: Sequence[slice]) -> float:
+    """Return the milliseconds of processor time a problem, after a first call that is not timed.
+
+    On a machine that others use, too, time on the clock says more about them.
+    """
+    solve(batches[0])
+    began = time.process_time()
+    for batch in batches:
+        solve(batch)
+    return 1000 * (time.process_time() - began) / batches[-1].stop
+
+
+def times_of(planner: Planner, problems: ProblemSet) -> dict[str, float]:
+    """Return the columns ms and ms_batched of `evaluate`, as processor time."""
+
+    def solve_one(batch: slice) -> Plan:
+        start, goal = (
+            tuple(cells[batch.start].tolist()) for cells in (problems.starts, problems.goals)
+        )
+        return planner.plan(problems.grids[batch.start].copy(), start, goal)
+
+    def solve_batch(batch: slice) -> list[Plan]:
+        assert isinstance(planner, BatchPlanner)
+        arrays = (problems.grids, problems.starts, problems.goals)
+        return planner.plan_batch(*(array[batch].copy() for array in arrays))
+
+    count = min(TIMED, len(problems))
+    batches = [slice(k, min(k + BATCH, count)) for k in range(0, count, BATCH)]
+    is_batched = isinstance(planner, BatchPlanner)
+    return {
+        "ms": processor_ms(solve_one, [slice(k, k + 1) for k in range(count)]),
+        "ms_batched": processor_ms(solve_batch, batches) if is_batched else math.nan,
+    }
+
+
 def measured(planners: Sequence[Planner], problems: ProblemSet) -> pd.DataFrame:
     """Return the rows of `evaluate` for all problems, with times of the first `TIMED` alone."""
     answers = [
@@ -157,14 +201,11 @@ def measured(planners: Sequence[Planner], problems: ProblemSet) -> pd.DataFrame:
         for planner in planners
     ]
     table = evaluate(answers, problems)
-    first = slice(TIMED)
-    timed_problems = ProblemSet(
-        problems.grids[first], problems.starts[first], problems.goals[first], problems.movement
-    )
-    timed = evaluate(planners, timed_problems, bootstrap=1)
-    for column in ("ms", "ms_batched"):
-        table[column] = timed[column]
-    return table[table["subset"] == "hard"]
+    table = table[table["subset"] == "hard"].set_index("planner")
+    for planner in planners:
+        for column, ms in times_of(planner, problems).items():
+            table.loc[planner.name, column] = ms
+    return table.reset_index()
 
 
 def measure(
@@ -302,16 +343,24 @@ def is_main_row(planner: str) -> bool:
     return not planner.startswith(trained_name(""))
 
 
-def table_of(results: Results, name: str) -> str:
+def with_half_width(row: Mapping[str, Any], metric: str) -> str:
+    """Return a metric of a row, followed by half the width of its interval where it has one."""
+    text = cell(row[metric])
+    if pd.isna(row[f"{metric}_low"]):
+        return text
+    return f"{text} ±{(row[f'{metric}_high'] - row[f'{metric}_low']) / 2:.3f}"
+
+
+def table_of(results: Results, name: str, columns: Sequence[str] = tuple(COLUMNS)) -> str:
     """Return the table of a set."""
-    table = results.table(name)
-    table = table[table["planner"].map(is_main_row)]
-    columns = {column: [cell(number) for number in table[column]] for column in COLUMNS}
-    for column in WITH_INTERVAL:
-        columns[column] = list(with_interval(table, column))
-    rows = [["planner", *COLUMNS.values()]]
-    for k, planner in enumerate(table["planner"]):
-        rows.append([planner, *(columns[column][k] for column in COLUMNS)])
+    rows = [["planner", *(COLUMNS[column] for column in columns)]]
+    for row in results.table(name).to_dict("records"):
+        if is_main_row(row["planner"]):
+            cells = [
+                with_half_width(row, column) if column in WITH_INTERVAL else cell(row[column])
+                for column in columns
+            ]
+            rows.append([row["planner"], *cells])
     return markdown(rows)
 
 
@@ -389,7 +438,7 @@ def summary(results: Results, names: Iterable[str]) -> str:
             cell(search["ms_batched"], 1),
             cell(search["expansion_ratio"]),
             cell(search["opt"]),
-            with_interval(table.loc[[SEARCH]], "hmean").iloc[0],
+            with_half_width(search, "hmean"),
         ]
         weighted = table.loc[table.index.str.contains("weighted|greedy"), "hmean"].max()
         rows.append([name, cell(field["ms_batched"]), *jumps, *learned, cell(weighted)])
@@ -406,11 +455,6 @@ def table_of_transfer(results: Results) -> str:
     return markdown(rows)
 
 
-def tables_of_files(results: Results) -> dict[str, str]:
-    """Return the tables of all other sets, by name: problems and maps of others."""
-    return {name: table_of(results, name) for name in results.sets if name not in SETS}
-
-
 def machines(results: Results) -> str:
     """Return the machines and versions that the rows were measured with."""
     lines = []
@@ -420,14 +464,16 @@ def machines(results: Results) -> str:
             line = f"- {run['machine']}, {run['threads']} thread: {versions}"
             if line not in lines:
                 lines.append(line)
+        else:
+            lines.append(f"- not measured by these scripts: {run['source']}")
     return "\n".join(lines)
 
 
 PAGE = """# All planners on all sets
 
 [Planners compared](planners.md) says what the columns are. Hard problems alone; ± is half the width
-of the 95 % interval. Times are means over the first 100 problems, of one thread of a shared
-machine: compare those of one table.
+of the 95 % interval. Times are processor time of one thread, means over the
+first 100 problems.
 
 `python docs/planner_tables.py` measures all of it and keeps every figure in
 [planner_results.json](planner_results.json); `docs/planner_results.py` says what stands in that
@@ -455,30 +501,56 @@ diagonal moves, the default rule of our labels.
 `--save dungeon-hard-1000.npz` writes a set, which then takes the place of the recipe, in Python
 too: `ProblemSet.load("dungeon-hard-1000.npz")`.
 
+## Goal field, jump points and network
+
+Times are those in batches.
+
+{summary}
+
 ## Hmean
 
 {hmeans}
 
-Measured on:
+## What carries over
+
+Small networks (the defaults of `PathPredictor`), each trained for 2,000 steps: of 24 maps of one
+family, of 4 of each of all five, or of 6 of each but one; Hmean of the search on the hard problems
+of each column's set, as `python docs/planner_tables.py --transfer` measures it.
+
+{transfer}
+
+Rooms, caves, forests and noise teach each other: caves that were left out are solved nearly as well
+as with them. Mazes do not: a network of mazes is lost elsewhere, and without mazes in the training
+it is lost in them. All five together cost little on rooms, caves and forests, more on mazes and
+noise: a family has a sixth of the maps that it has alone.
+
+## Measured on
 
 {machines}
 
 {sections}"""
 
 
+def ordered_sets(results: Results) -> list[str]:
+    """Return the names of the sets that are measured: those of `SETS` first."""
+    others = [name for name in results.sets if name not in SETS]
+    return [*(name for name in SETS if name in results.sets), *others]
+
+
 def page_of_sets(results: Results) -> str:
     """Return docs/planner_tables.md."""
     sections = []
-    for name in SETS:
-        if name in results.sets:
-            drawn = results.sets[name]
-            sections.append(
-                f"## {name}\n\n{drawn['problems']} problems, {drawn['hard']} of them hard, set "
-                f"`{drawn['hash'][:12]}`; {drawn['description']}.\n\n{table_of(results, name)}\n"
-            )
+    for name in ordered_sets(results):
+        drawn = results.sets[name]
+        sections.append(
+            f"## {name}\n\n{drawn['problems']} problems, {drawn['hard']} of them hard, set "
+            f"`{drawn['hash'][:12]}`; {drawn['description']}.\n\n{table_of(results, name)}\n"
+        )
     return PAGE.format(
         sets=table_of_sets(results),
+        summary=summary(results, [name for name in SETS if name in results.sets]),
         hmeans=table_of_hmeans(results),
+        transfer=table_of_transfer(results),
         machines=machines(results),
         sections="\n".join(sections),
     )
@@ -489,8 +561,8 @@ def filled(page: str, tables: dict[str, str]) -> str:
     for name, table in tables.items():
         mark = re.escape(f"<!-- table {name} -->")
         page = re.sub(
-            f"({mark}\n).*?(\n<!-- end -->)",
-            lambda match: f"{match[1]}\n{table}\n{match[2]}",  # noqa: B023
+            f"({mark}\n).*?(<!-- end -->)",
+            lambda match: f"{match[1]}\n{table}\n\n{match[2]}",  # noqa: B023
             page,
             flags=re.DOTALL,
         )
@@ -503,11 +575,12 @@ def write_pages(results: Results, folder: Path) -> None:
     page = folder / "planners.md"
     windows = [name for name in results.sets if name.endswith("-windows")]
     tables = {
-        "summary": summary(results, [name for name in SETS if name in results.sets]),
+        "summary": summary(results, [name for name in FIRST_SETS if name in results.sets]),
         "zero-shot": summary(results, windows),
-        "transfer": table_of_transfer(results),
     }
-    tables |= tables_of_files(results)
+    for name in results.sets:
+        if name not in SETS:
+            tables[name] = table_of(results, name, SHORT)
     page.write_text(filled(page.read_text(encoding="utf-8"), tables), encoding="utf-8")
 
 

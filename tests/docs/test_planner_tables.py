@@ -51,7 +51,7 @@ def tables(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> ModuleType:
     monkeypatch.setattr(planner_tables, "all_planners", classical)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my_module.py").write_text(OWN_PLANNER)
-    (tmp_path / "planners.md").write_text("a\n<!-- table transfer -->\nold\n<!-- end -->\nb\n")
+    (tmp_path / "planners.md").write_text("a\n<!-- table hall -->\nold\n<!-- end -->\nb\n")
     return planner_tables
 
 
