@@ -40,7 +40,7 @@ from mapdata.arrays import Bytes
 from mapdata.cli import load_problems
 from mapdata.evaluation import BatchPlanner, Plan, Planner, classical
 from mapdata.limits import Cell
-from mapdata.models import GuidedSearch, NeuralAstar, PathPredictor, fast_precision, planners
+from mapdata.models import GuidedSearch, NeuralAstar, PathPredictor, fast_precision
 from mapdata.models.evaluate import SHIPPED, load_weights
 from mapdata.models.mixed_batches import MixedBatches
 from mapdata.models.path_predictor import TRAINING_FIELDS
@@ -52,7 +52,6 @@ TIMED = 100
 SEED = 77
 GOAL_FIELD = "A* with the exact goal field"
 JUMP_POINTS = "jump point search"
-WALK = "path_predictor (walk)"
 SEARCH = "path_predictor (search)"
 
 WIDE_ROOMS = MapSpec(
@@ -222,8 +221,9 @@ def measure(
 
 
 def all_planners(movement: Movement) -> list[Planner]:
-    """Return the classical planners and the shipped ones for a movement."""
-    return [*classical(movement), *planners(PathPredictor.pretrained(SHIPPED[movement]))]
+    """Return the classical planners and the search with the weights that ship for a movement."""
+    model = PathPredictor.pretrained(SHIPPED[movement])
+    return [*classical(movement), GuidedSearch(SEARCH, model)]
 
 
 def own_planner(reference: str) -> Callable[[Movement], list[Planner]]:
@@ -251,7 +251,7 @@ def measure_file(
     rows: list[Planner] = list(classical(problems.movement))
     for path in weights:
         model = load_weights(path)
-        rows += [model] if isinstance(model, NeuralAstar) else planners(model)
+        rows.append(model if isinstance(model, NeuralAstar) else GuidedSearch(SEARCH, model))
     results.add_set(name, problems)
     table = evaluate(rows, problems, baseline=baseline)
     table = table[table["subset"] == "all"]

@@ -434,7 +434,7 @@ def test_conditions_that_are_no_random_problems_are_refused() -> None:
 
 
 class Row(NamedTuple):
-    """A row of the table of docs/planners.md: a set of problems and how to make it again."""
+    """A row of the table of docs/planner_tables.md: a set of problems and how to make it again."""
 
     name: str
     flags: str
@@ -443,7 +443,7 @@ class Row(NamedTuple):
     digits: str
 
 
-PAGE = (DOCS / "planners.md").read_text(encoding="utf-8")
+PAGE = (DOCS / "planner_tables.md").read_text(encoding="utf-8")
 SECTION = PAGE.partition("\n## The sets\n")[2].partition("\n## ")[0]
 
 
