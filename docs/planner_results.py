@@ -104,9 +104,9 @@ class Results:
             self._put(row)
         self._forget_unused_runs()
 
-    def table(self, name: str) -> pd.DataFrame:
-        """Return the rows of a set, as `evaluate` gives them."""
-        return pd.DataFrame([row for row in self.rows if row["set"] == name])
+    def rows_of(self, name: str) -> dict[str, dict[str, Any]]:
+        """Return the rows of a set by the names of the planners."""
+        return {row["planner"]: row for row in self.rows if row["set"] == name}
 
     def _put(self, row: dict[str, Any]) -> None:
         """Add a row, or put it in the place of the row of the same set and planner."""

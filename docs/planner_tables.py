@@ -26,7 +26,7 @@ import re
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +53,8 @@ SEED = 77
 GOAL_FIELD = "A* with the exact goal field"
 JUMP_POINTS = "jump point search"
 SEARCH = "path_predictor (search)"
+INEXACT = ("weighted", "greedy")
+"""How the names of classical planners without optimal paths begin."""
 
 WIDE_ROOMS = MapSpec(
     (256, 256), rooms=(60, 120), room_rows=(8, 30), room_columns=(8, 30), passage_width=(1, 4)
@@ -158,7 +160,7 @@ class InBatches:
         return self.plans[grid.tobytes(), start, goal]
 
 
-def processor_ms(solve: Callable[[slice], object], batches: Sequence[slice]) -> float:
+def processor_ms(solve: Callable[[slice], object], batches: list[slice]) -> float:
     """Return the milliseconds of processor time a problem, after a first call that is not timed.
 
     On a machine that others use, too, time on the clock says more about them.
@@ -167,7 +169,9 @@ def processor_ms(solve: Callable[[slice], object], batches: Sequence[slice]) -> 
     began = time.process_time()
     for batch in batches:
         solve(batch)
-    return 1000 * (time.process_time() - began) / batches[-1].stop
+    seconds = time.process_time() - began
+    count: int = sum(batch.stop - batch.start for batch in batches)
+    return 1000 * seconds / count
 
 
 def times_of(planner: Planner, problems: ProblemSet) -> dict[str, float]:
@@ -181,8 +185,8 @@ def times_of(planner: Planner, problems: ProblemSet) -> dict[str, float]:
 
     def solve_batch(batch: slice) -> list[Plan]:
         assert isinstance(planner, BatchPlanner)
-        arrays = (problems.grids, problems.starts, problems.goals)
-        return planner.plan_batch(*(array[batch].copy() for array in arrays))
+        grids, starts, goals = problems.grids[batch], problems.starts[batch], problems.goals[batch]
+        return planner.plan_batch(grids.copy(), starts.copy(), goals.copy())
 
     count = min(TIMED, len(problems))
     batches = [slice(k, min(k + BATCH, count)) for k in range(0, count, BATCH)]
@@ -207,16 +211,14 @@ def measured(planners: Sequence[Planner], problems: ProblemSet) -> pd.DataFrame:
     return table.reset_index()
 
 
-def measure(
-    results: Results, name: str, rows: Callable[[Movement], Sequence[Planner]], command: str
-) -> None:
+def measure(results: Results, name: str, planners: Sequence[Planner], command: str) -> None:
     """Measure planners on the hard problems of a set, and add them to the results."""
     problems = problems_of(name)
     generator = json.loads(GENERATORS[SETS[name][0]][0].to_json())
     results.add_set(
         name, problems, seed=SEED, until_hard=int(problems.hard.sum()), generator=generator
     )
-    table = measured(rows(problems.movement), hard_of(problems))
+    table = measured(planners, hard_of(problems))
     results.add_rows(name, table, this_run(command))
 
 
@@ -308,9 +310,9 @@ def transfer(results: Results, path: Path, steps: int, command: str) -> None:
     """Train networks on a family each, on all, and on all but one, and measure them on all sets."""
     for training, names in trainings().items():
         model = trained_on(names, steps)
-        rows = [GuidedSearch(trained_name(training), model)]
+        search = GuidedSearch(trained_name(training), model)
         for family in FAMILIES:
-            measure(results, set_of(family), lambda movement, rows=rows: rows, command)
+            measure(results, set_of(family), [search], command)
         results.write(path)
 
 
@@ -335,7 +337,7 @@ def markdown(rows: Sequence[Sequence[str]]) -> str:
 
 def cell(number: float | None, digits: int = 3) -> str:
     """Return a number of a table, or a dash where there is none."""
-    return "-" if number is None or pd.isna(number) else f"{number:.{digits}f}"
+    return "-" if number is None else f"{number:.{digits}f}"
 
 
 def is_main_row(planner: str) -> bool:
@@ -343,24 +345,24 @@ def is_main_row(planner: str) -> bool:
     return not planner.startswith(trained_name(""))
 
 
-def with_half_width(row: Mapping[str, Any], metric: str) -> str:
+def with_half_width(row: dict[str, Any], metric: str) -> str:
     """Return a metric of a row, followed by half the width of its interval where it has one."""
-    text = cell(row[metric])
-    if pd.isna(row[f"{metric}_low"]):
-        return text
-    return f"{text} ±{(row[f'{metric}_high'] - row[f'{metric}_low']) / 2:.3f}"
+    low, high = row[f"{metric}_low"], row[f"{metric}_high"]
+    if low is None:
+        return cell(row[metric])
+    return f"{cell(row[metric])} ±{(high - low) / 2:.3f}"
 
 
 def table_of(results: Results, name: str, columns: Sequence[str] = tuple(COLUMNS)) -> str:
     """Return the table of a set."""
     rows = [["planner", *(COLUMNS[column] for column in columns)]]
-    for row in results.table(name).to_dict("records"):
-        if is_main_row(row["planner"]):
+    for planner, row in results.rows_of(name).items():
+        if is_main_row(planner):
             cells = [
                 with_half_width(row, column) if column in WITH_INTERVAL else cell(row[column])
                 for column in columns
             ]
-            rows.append([row["planner"], *cells])
+            rows.append([planner, *cells])
     return markdown(rows)
 
 
@@ -421,27 +423,30 @@ def summary(results: Results, names: Iterable[str]) -> str:
         ]
     ]
     for name in names:
-        table = results.table(name).set_index("planner")
-        if SEARCH not in table.index:
+        planners = results.rows_of(name)
+        if SEARCH not in planners:
             continue
-        field, search = table.loc[GOAL_FIELD], table.loc[SEARCH]
         jumps = ["-"] * 4
-        if JUMP_POINTS in table.index:
-            jump = table.loc[JUMP_POINTS]
+        if JUMP_POINTS in planners:
+            jump = planners[JUMP_POINTS]
             jumps = [
                 cell(jump["ms_batched"]),
                 cell(jump["look_ratio"], 1),
                 cell(jump["expansion_ratio"]),
                 cell(jump["hmean"]),
             ]
+        search = planners[SEARCH]
         learned = [
             cell(search["ms_batched"], 1),
             cell(search["expansion_ratio"]),
             cell(search["opt"]),
             with_half_width(search, "hmean"),
         ]
-        weighted = table.loc[table.index.str.contains("weighted|greedy"), "hmean"].max()
-        rows.append([name, cell(field["ms_batched"]), *jumps, *learned, cell(weighted)])
+        weighted = max(
+            row["hmean"] for planner, row in planners.items() if planner.startswith(INEXACT)
+        )
+        field = cell(planners[GOAL_FIELD]["ms_batched"])
+        rows.append([name, field, *jumps, *learned, cell(weighted)])
     return markdown(rows)
 
 
@@ -620,7 +625,7 @@ def main(arguments: list[str] | None = None) -> None:
     elif not options.pages:
         rows = own_planner(options.add) if options.add else all_planners
         for name in options.sets or SETS:
-            measure(results, name, rows, command)
+            measure(results, name, rows(RULES[SETS[name][1]]), command)
             results.write(path)
             print(f"{name}\n\n{table_of(results, name)}\n", flush=True)
     results.write(path)

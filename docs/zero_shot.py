@@ -54,8 +54,8 @@ def grids_of(folder: Path) -> dict[str, Bytes]:
         if path.suffix == ".map":
             grids[path.stem] = read_any(path).maps[0].grid
         elif path.suffix == ".yaml":
-            options = {"unknown": "occupied", "resolution": RESOLUTION, "resample": "any"}
-            grids[path.stem] = read_any(path, "ros", **options).maps[0].grid
+            maps = read_any(path, unknown="occupied", resolution=RESOLUTION, resample="any").maps
+            grids[path.stem] = maps[0].grid
     return grids
 
 
