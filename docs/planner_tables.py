@@ -110,7 +110,7 @@ COLUMNS = {
 }
 """Columns of the tables, and their headings."""
 
-SHORT = ("ms_batched", "expansion_ratio", "opt", "cost_ratio", "hmean")
+SHORT = ("ms_batched", "expansion_ratio", "opt", "cost_ratio", "p_exp", "hmean")
 """Columns of the tables of planners.md."""
 
 WITH_INTERVAL = ("expansion_ratio", "opt", "cost_ratio", "p_exp", "hmean")
@@ -400,6 +400,15 @@ def table_of_hmeans(results: Results) -> str:
     return markdown(rows)
 
 
+def transfer_source(results: Results) -> str:
+    """Return where the table of transfer is from, if it was not measured with the other tables."""
+    for row in results.rows:
+        source = results.runs[row["run"]].get("source")
+        if source and not is_main_row(row["planner"]):
+            return f" ({source})"
+    return ""
+
+
 def zero_shot_name(map_name: str, size: int, ending: str) -> str:
     """Return the name of the set of problems on windows of a map, which zero_shot.py draws."""
     return f"{map_name}-{size}{ending}-windows"
@@ -520,7 +529,7 @@ Times are those in batches.
 
 Small networks (the defaults of `PathPredictor`), each trained for 2,000 steps: of 24 maps of one
 family, of 4 of each of all five, or of 6 of each but one; Hmean of the search on the hard problems
-of each column's set, as `python docs/planner_tables.py --transfer` measures it.
+of each column's set, as `python docs/planner_tables.py --transfer` measures it{transfer_source}.
 
 {transfer}
 
@@ -556,6 +565,7 @@ def page_of_sets(results: Results) -> str:
         summary=summary(results, [name for name in SETS if name in results.sets]),
         hmeans=table_of_hmeans(results),
         transfer=table_of_transfer(results),
+        transfer_source=transfer_source(results),
         machines=machines(results),
         sections="\n".join(sections),
     )
