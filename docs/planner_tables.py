@@ -197,14 +197,19 @@ def times_of(planner: Planner, problems: ProblemSet) -> dict[str, float]:
     }
 
 
-def measured(planners: Sequence[Planner], problems: ProblemSet) -> pd.DataFrame:
+def measured(
+    planners: Sequence[Planner],
+    problems: ProblemSet,
+    subset: str = "hard",
+    baseline: str | None = None,
+) -> pd.DataFrame:
     """Return the rows of `evaluate` for all problems, with times of the first `TIMED` alone."""
     answers = [
         InBatches(planner, problems) if isinstance(planner, BatchPlanner) else planner
         for planner in planners
     ]
-    table = evaluate(answers, problems)
-    table = table[table["subset"] == "hard"].set_index("planner")
+    table = evaluate(answers, problems, baseline=baseline)
+    table = table[table["subset"] == subset].set_index("planner")
     for planner in planners:
         for column, ms in times_of(planner, problems).items():
             table.loc[planner.name, column] = ms
@@ -254,9 +259,8 @@ def measure_file(
     for path in weights:
         model = load_weights(path)
         rows.append(model if isinstance(model, NeuralAstar) else GuidedSearch(SEARCH, model))
-    results.add_set(name, problems)
-    table = evaluate(rows, problems, baseline=baseline)
-    table = table[table["subset"] == "all"]
+    results.add_set(name, problems, description=problems.description.replace(file, name))
+    table = measured(rows, problems, "all", baseline)
     results.add_rows(name, table, this_run(command), baseline=baseline)
 
 
