@@ -26,7 +26,7 @@ import re
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -110,7 +110,7 @@ COLUMNS = {
 }
 """Columns of the tables, and their headings."""
 
-SHORT = ("ms_batched", "expansion_ratio", "opt", "cost_ratio", "p_exp", "hmean")
+SHORT = ("ms_batched", "expansion_ratio", "opt", "p_exp", "hmean")
 """Columns of the tables of planners.md."""
 
 WITH_INTERVAL = ("expansion_ratio", "opt", "cost_ratio", "p_exp", "hmean")
@@ -357,17 +357,31 @@ def with_half_width(row: dict[str, Any], metric: str) -> str:
     return f"{cell(row[metric])} ±{(high - low) / 2:.3f}"
 
 
-def table_of(results: Results, name: str, columns: Sequence[str] = tuple(COLUMNS)) -> str:
-    """Return the table of a set."""
+def table_of(
+    results: Results,
+    name: str,
+    columns: Sequence[str] = tuple(COLUMNS),
+    left_out: Container[str] = (),
+) -> str:
+    """Return the table of a set, without the rows of some planners."""
     rows = [["planner", *(COLUMNS[column] for column in columns)]]
     for planner, row in results.rows_of(name).items():
-        if is_main_row(planner):
+        if is_main_row(planner) and planner not in left_out:
             cells = [
                 with_half_width(row, column) if column in WITH_INTERVAL else cell(row[column])
                 for column in columns
             ]
             rows.append([planner, *cells])
     return markdown(rows)
+
+
+def short_table(results: Results, name: str) -> str:
+    """Return the table of a set for planners.md: of the classical rows only the best ones."""
+    rows = results.rows_of(name)
+    inexact = [planner for planner in rows if planner.startswith(INEXACT)]
+    best = max(inexact, key=lambda planner: float(rows[planner]["hmean"]), default=None)
+    left_out = {"BFS", "Dijkstra", "A*", "limit", *inexact} - {best}
+    return table_of(results, name, SHORT, left_out)
 
 
 def flags_of(name: str) -> str:
@@ -424,26 +438,24 @@ def summary(results: Results, names: Iterable[str]) -> str:
         [
             "set",
             "goal field: ms",
-            "jump points: ms",
-            "looks",
+            "jump points: looks",
             "expansions",
             "Hmean",
             "network: ms",
             "expansions",
             "Opt",
             "Hmean",
-            "best weighted A* or greedy: Hmean",
+            "weighted A*: Hmean",
         ]
     ]
     for name in names:
         planners = results.rows_of(name)
         if SEARCH not in planners:
             continue
-        jumps = ["-"] * 4
+        jumps = ["-"] * 3
         if JUMP_POINTS in planners:
             jump = planners[JUMP_POINTS]
             jumps = [
-                cell(jump["ms_batched"]),
                 cell(jump["look_ratio"], 1),
                 cell(jump["expansion_ratio"]),
                 cell(jump["hmean"]),
@@ -599,7 +611,7 @@ def write_pages(results: Results, folder: Path) -> None:
     }
     for name in results.sets:
         if name not in SETS:
-            tables[name] = table_of(results, name, SHORT)
+            tables[name] = short_table(results, name)
     page.write_text(filled(page.read_text(encoding="utf-8"), tables), encoding="utf-8")
 
 
