@@ -37,6 +37,7 @@ from mapdata import (  # noqa: E402
     Maze,
     Movement,
     OnlineMapDataset,
+    ProblemSetDataset,
     Random,
     Tiles,
     astar,
@@ -49,6 +50,7 @@ from mapdata.describe import dataset_statistics  # noqa: E402
 from mapdata.evaluation import Plan  # noqa: E402
 from mapdata.formats import Collection, ForeignMap, import_maps  # noqa: E402
 from mapdata.generators import PRESETS  # noqa: E402
+from mapdata.models import CostPredictor  # noqa: E402
 from mapdata.plotting import (  # noqa: E402
     COLOURS,
     MARKERS,
@@ -538,6 +540,37 @@ def images() -> Figure:
     return figure
 
 
+def costs() -> Figure:
+    """Show an image, the costs that a model reads from it, the true costs, and both paths."""
+    movement = Movement(8, corner_cutting=True, diagonal_cost=1)
+    problems = ProblemSet.sample("tiles", seed=77, maps=20, movement=movement, problems="route")
+    fields = ("map", Tiles(alike=True, noise=8))
+    batch: Any = ProblemSetDataset(problems, fields=fields)[:]
+    predicted = CostPredictor.pretrained().predict(batch.image, problems.grids)
+    assert problems.terrain is not None
+    problem = problems.grids[PICKED], problems.starts[PICKED], problems.goals[PICKED], movement
+    figure, axes = new_figure(1, 3, (10.2, 3.7))
+    side = batch.image.shape[-1] / problems.grids.shape[-1]
+    axes[0].imshow(batch.image[PICKED].permute(1, 2, 0), interpolation="nearest")
+    bare(axes[0], "image")
+    for ax, terrain, title in (
+        (axes[1], predicted[PICKED], "predicted costs"),
+        (axes[2], problems.terrain[PICKED], "true costs"),
+    ):
+        ax.imshow(terrain, cmap="viridis", interpolation="nearest")
+        bare(ax, title)
+    planned = astar(*problem, terrain=predicted[PICKED]).path
+    shortest = astar(*problem, terrain=problems.terrain[PICKED]).path
+    for ax, scale in ((axes[0], side), (axes[1], 1), (axes[2], 1)):
+        for path, colour, width in (
+            (shortest, COLOURS["astar"], 4.5),
+            (planned, PALETTE[4], 2.0),
+        ):
+            rows, columns = (scale * (path + 0.5) - 0.5).T
+            ax.plot(columns, rows, color=colour, linewidth=width)
+    return figure
+
+
 FIGURES: dict[str, Callable[[], Figure]] = {
     "overview": overview,
     "batch": batch,
@@ -559,6 +592,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "samplers": samplers,
     "roadmaps": roadmaps,
     "images": images,
+    "costs": costs,
 }
 NAMES = [*FIGURES, "report"]
 
