@@ -190,15 +190,24 @@ def check_fractions(values: object) -> tuple[float, ...]:
     Raises:
         ValueError: it is not three fractions in [0, 1] that add up to 1.
     """
-    fractions = tuple(check_number("splits", fraction) for fraction in items_of(values))
-    has_one_per_split = len(fractions) == len(SPLITS)
-    are_in_range = all(0 <= fraction <= 1 for fraction in fractions)
-    add_up_to_1 = abs(sum(fractions) - 1) <= 1e-9
-    if not (has_one_per_split and are_in_range and add_up_to_1):
+    return check_shares("splits", values, len(SPLITS))
+
+
+def check_shares(name: str, values: object, count: int) -> tuple[float, ...]:
+    """Return ``values`` as shares of a whole.
+
+    Raises:
+        ValueError: it is not ``count`` fractions in [0, 1] that add up to 1.
+    """
+    shares = tuple(check_number(name, share) for share in items_of(values))
+    are_in_range = all(0 <= share <= 1 for share in shares)
+    add_up_to_1 = abs(sum(shares) - 1) <= 1e-9
+    if not (len(shares) == count and are_in_range and add_up_to_1):
+        number = "three" if count == 3 else count
         raise ValueError(
-            f"splits: got {values!r}, expected three fractions in [0, 1] that add up to 1"
+            f"{name}: got {values!r}, expected {number} fractions in [0, 1] that add up to 1"
         )
-    return fractions
+    return shares
 
 
 def check_range(name: str, limits: Range, minimum: int, maximum: int, reason: str = "") -> None:

@@ -56,8 +56,8 @@ def build_command(
         root: folder of the dataset
         maps: how many maps (default: 10000, or the recipe's)
         seed: 64-bit seed (default: 0, or the recipe's)
-        preset: paper, narrow, dungeon, dungeon128, maze, maze15, maze30, cave, forest or noise
-            (default: paper); 'mapdata list' describes them
+        preset: paper, narrow, dungeon, dungeon128, maze, maze15, maze30, cave, forest, noise,
+            terrain or tiles (default: paper); 'mapdata list' describes them
         map_size: rows and columns of a map, in place of the preset's
         recipe: which maps: a preset's name, a file that holds what 'mapdata info ROOT --recipe'
             prints, or such JSON text
@@ -268,11 +268,12 @@ def list_command() -> None:
     common_names = {parameter.name for parameter in fields(MapGenerator)}
     for name, generator in PRESETS.items():
         rows, columns = generator.map_size
+        plain_values = generator.to_dict()
         changes = []
         for parameter in fields(generator):
-            setting = getattr(generator, parameter.name)
-            if parameter.name not in common_names and setting != parameter.default:
-                changes.append(f"{parameter.name} {json.dumps(setting)}")
+            is_changed = getattr(generator, parameter.name) != parameter.default
+            if parameter.name not in common_names and is_changed:
+                changes.append(f"{parameter.name} {json.dumps(plain_values[parameter.name])}")
         description = ", ".join([generator.description, *changes])
         print(f"{name:12}{f'{rows} x {columns}':12}{description}")
 

@@ -33,7 +33,7 @@ G = TypeVar("G", bound="MapGenerator")
 _ROOMS = "rooms"
 """The only family of version 1 of the format. Its JSON has no key "generator"."""
 
-_SHARED = ("map_size", "resolution", "movement", "splits")
+SHARED_PARAMETERS = ("map_size", "resolution", "movement", "splits")
 """The parameters that every family has."""
 
 ENTRY_POINTS = "mapdata.generators"
@@ -62,6 +62,7 @@ class MapGenerator(ABC):
         name: name of the family in JSON.
         description: what the maps are, as the dataset card says it: "... made by mapdata".
         citation: the sentence that introduces the paper on the dataset card.
+        generator_parameters: names of the parameters that are generators themselves, or None.
         map_size: (rows, columns) of a map, in cells, at most ``MAX_SIDE`` each.
         resolution: metres per cell.
         movement: the rule of moves.
@@ -71,6 +72,7 @@ class MapGenerator(ABC):
     name: ClassVar[str]
     description: ClassVar[str]
     citation: ClassVar[str] = "The labels are those that this paper computes:"
+    generator_parameters: ClassVar[tuple[str, ...]] = ()
     map_size: Size = field(default=(64, 64), kw_only=False)
     resolution: float = 0.1
     movement: Movement = field(default_factory=Movement)
@@ -111,6 +113,12 @@ class MapGenerator(ABC):
         return False
 
     @property
+    def inner_generators(self) -> list[MapGenerator]:
+        """The generators that are parameters of this one; most generators have none."""
+        parameters = [getattr(self, name) for name in self.generator_parameters]
+        return [parameter for parameter in parameters if parameter is not None]
+
+    @property
     def format_version(self) -> int:
         """The lowest version of the format that can store maps of this generator."""
         if self.has_terrain:
@@ -120,6 +128,9 @@ class MapGenerator(ABC):
     def to_dict(self) -> dict[str, Any]:
         """Return the parameters as plain values for JSON, with the name of the family."""
         values = asdict(self)
+        for name in self.generator_parameters:
+            generator = getattr(self, name)
+            values[name] = None if generator is None else generator.to_dict()
         # The parameters that all families share come after those of the family.
         for name in ("resolution", "movement", "splits"):
             values[name] = values.pop(name)
@@ -173,6 +184,8 @@ class MapGenerator(ABC):
         parameters.pop("generator", None)
         if "movement" in parameters:
             parameters["movement"] = _movement(parameters["movement"])
+        for key, inner_values in _inner_values(family, parameters).items():
+            parameters[key] = MapGenerator.from_dict(inner_values)
         return family(**parameters)
 
     @classmethod
@@ -257,14 +270,28 @@ def stored_generator(text: str) -> MapGenerator:
     Raises:
         ValueError: not JSON, or parameters that no generator can have.
     """
-    values = parsed_json("spec", text)
+    return _stored_generator(parsed_json("spec", text))
+
+
+def _stored_generator(values: Any) -> MapGenerator:
+    """Return the generator of the plain values that a shard or manifest states."""
     name = values.get("generator", _ROOMS) if isinstance(values, dict) else _ROOMS
-    if not isinstance(name, str) or family_named(name) is not None:
-        return MapGenerator.from_dict(values)
-    missing = [key for key in _SHARED if key not in values]
+    family = family_named(name) if isinstance(name, str) else None
+    if family is not None and isinstance(values, dict):
+        # Their families may be unknown, too.
+        inner_generators = {
+            key: _stored_generator(inner_values)
+            for key, inner_values in _inner_values(family, values).items()
+        }
+        return MapGenerator.from_dict({**values, **inner_generators})
+    if not isinstance(name, str) or not isinstance(values, dict):
+        return MapGenerator.from_dict(values)  # which refuses them
+    missing = [key for key in SHARED_PARAMETERS if key not in values]
     if missing:
         raise ValueError(f"spec: lacks {', '.join(missing)}, which every family has")
-    parameters = {key: values[key] for key in values if key not in ("generator", *_SHARED)}
+    parameters = {
+        key: values[key] for key in values if key not in ("generator", *SHARED_PARAMETERS)
+    }
     if _depth(parameters) > _MAX_DEPTH:
         raise ValueError(f"spec: lists and objects lie more than {_MAX_DEPTH} deep in one another")
     return UnknownFamily(
@@ -275,6 +302,24 @@ def stored_generator(text: str) -> MapGenerator:
         movement=_movement(values["movement"]),
         splits=values["splits"],
     )
+
+
+def _inner_values(family: type[MapGenerator], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the plain values of those parameters that stand for generators, by name.
+
+    Raises:
+        ValueError: a generator of the same family stands in one of them. Such values could be
+            nested too deep for Python.
+    """
+    inner_values = {}
+    for key in family.generator_parameters:
+        inner = values.get(key)
+        if inner is None or isinstance(inner, MapGenerator):
+            continue
+        if isinstance(inner, Mapping) and inner.get("generator") == family.name:
+            raise ValueError(f"{key}: got the family {family.name!r} in itself, expected another")
+        inner_values[key] = inner
+    return inner_values
 
 
 def _movement(values: object) -> Movement:

@@ -72,11 +72,7 @@ def with_seed_points(generator: MapGenerator, seed: int, indices: Ints, grids: B
     Raises:
         ValueError: the grids do not have the size of the generator's maps.
     """
-    if grids.shape != (len(indices), *generator.map_size):
-        raise ValueError(
-            f"grids: got shape {grids.shape}, expected {len(indices)} maps of {generator.map_size}"
-        )
-    maps = Maps.empty(generator.movement, generator.map_size, indices, generator.max_seed_points)
+    maps = _maps_of_grids(generator, seed, indices, grids)
     key = np.uint64(seed)
     for k, grid in enumerate(grids):
         # Straight steps are legal under every movement, so they join the seed points under each.
@@ -88,8 +84,41 @@ def with_seed_points(generator: MapGenerator, seed: int, indices: Ints, grids: B
         maps.rooms[k] = len(points)
         maps.seed_points[k, : len(points), 0] = rows
         maps.seed_points[k, : len(points), 1] = columns
+    return maps
+
+
+def with_corner_points(generator: MapGenerator, seed: int, indices: Ints, grids: Bytes) -> Maps:
+    """Return grids as maps of (generator, seed) with two seed points: opposite corners.
+
+    They are the upper left and the lower right corner, which have to be free. A map of a single
+    cell has one seed point.
+
+    Args:
+        generator: the generator.
+        seed: 64-bit seed.
+        indices: (N,) int64, number of each map.
+        grids: (N, H, W) uint8, 0 free and 1 occupied.
+
+    Raises:
+        ValueError: the grids do not have the size of the generator's maps.
+    """
+    maps = _maps_of_grids(generator, seed, indices, grids)
+    rows, columns = generator.map_size
+    corners = [(0, 0), (rows - 1, columns - 1)][: rows * columns]
+    maps.rooms[:] = len(corners)
+    maps.seed_points[:, : len(corners)] = corners
+    return maps
+
+
+def _maps_of_grids(generator: MapGenerator, seed: int, indices: Ints, grids: Bytes) -> Maps:
+    """Return grids as maps of (generator, seed), still without seed points."""
+    if grids.shape != (len(indices), *generator.map_size):
+        raise ValueError(
+            f"grids: got shape {grids.shape}, expected {len(indices)} maps of {generator.map_size}"
+        )
+    maps = Maps.empty(generator.movement, generator.map_size, indices, generator.max_seed_points)
     maps.packed[:] = pack(grids)
-    maps.split[:] = draw_splits(key, indices, split_thresholds(generator.splits))
+    maps.split[:] = draw_splits(np.uint64(seed), indices, split_thresholds(generator.splits))
     return maps
 
 

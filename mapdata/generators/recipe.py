@@ -64,8 +64,9 @@ class Recipe:
             raise ValueError(
                 f"spec: got {self.generator!r}, expected a MapSpec or another MapGenerator"
             )
-        if isinstance(self.generator, UnknownFamily):
-            raise ValueError(f"spec: {why_unknown(self.generator.name)}")
+        for generator in (self.generator, *self.generator.inner_generators):
+            if isinstance(generator, UnknownFamily):
+                raise ValueError(f"spec: {why_unknown(generator.name)}")
         if self.content_hash is not None and not _is_sha256(self.content_hash):
             raise ValueError(
                 f"content_hash: got {self.content_hash!r}, expected a SHA-256 in hexadecimal digits"

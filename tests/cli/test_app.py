@@ -489,7 +489,7 @@ def test_a_recipe_of_an_unfinished_dataset_is_true(
         ("unknown flag --shard-sise; did you mean --shard-size?", ["--shard-sise", "3"]),
         ("unknown flag --preste; did you mean --preset?", ["--preste=narrow"]),
         ("unknown flag --see; did you mean --seed?", ["--see", "3"]),
-        ("maze30, cave, forest, noise; did you mean dungeon?", ["--preset", "dungoen"]),
+        ("forest, noise, terrain, tiles; did you mean dungeon?", ["--preset", "dungoen"]),
     ],
 )
 def test_bad_flags_of_build_are_refused_in_one_line(
@@ -539,8 +539,8 @@ def test_bad_flags_of_build_are_refused_in_one_line(
         ("movement: unknown key: wings", {"movement": {"wings": 2}}),
         (
             "generator: the family 'mazes' is not known here; import its module (--import MODULE "
-            "in a command, import MODULE in Python); known are rooms, maze, cave, forest; did you "
-            "mean maze?",
+            "in a command, import MODULE in Python); known are rooms, maze, cave, forest, terrain; "
+            "did you mean maze?",
             {"generator": "mazes"},
         ),
         pytest.param(

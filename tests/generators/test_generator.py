@@ -349,8 +349,8 @@ def test_presets_of_one_family_and_of_all() -> None:
         (
             {"generator": "mazes"},
             r"^generator: the family 'mazes' is not known here; import its module \(--import "
-            r"MODULE in a command, import MODULE in Python\); known are rooms, maze, cave, forest; "
-            r"did you mean maze\?$",
+            r"MODULE in a command, import MODULE in Python\); known are rooms, maze, cave, forest, "
+            r"terrain; did you mean maze\?$",
         ),
         (
             {"family": "pillars", "pillars": 40},

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from helpers.reference import Cell, block, bounded, threshold
-from mapdata import Cave, Forest, Maze
+from mapdata import Cave, Forest, Maze, Terrain
 
-MAP, POINTS = 0, 5
+MAP, POINTS, TERRAIN = 0, 5, 6
 STEPS = ((-1, 0), (0, 1), (1, 0), (0, -1))
 
 
@@ -115,6 +115,79 @@ def reference_forest(generator: Forest, seed: int, index: int) -> list[list[int]
         covered |= {(r, c) for r, c in cells if 0 <= r < rows and 0 <= c < columns}
     covered.discard((rows // 2, columns // 2))
     return [[int((row, column) in covered) for column in range(columns)] for row in range(rows)]
+
+
+def reference_terrain(
+    generator: Terrain, seed: int, index: int, occupancy: list[list[int]] | None = None
+) -> list[list[int]]:
+    """Return the costs of a map of terrain, whose obstacles are those of ``occupancy`` if given."""
+    rows, columns = generator.map_size
+    cells = [(row, column) for row in range(rows) for column in range(columns)]
+    if occupancy is None:
+        noise = reference_noise(generator, seed, index, 2)
+        by_noise = sorted(cells, key=lambda cell: noise[cell])
+        always_free = {by_noise[0]}
+        if generator.corners:
+            always_free = {(0, 0), (rows - 1, columns - 1)}
+        candidates = [cell for cell in by_noise if cell not in always_free]
+        count = min(round(generator.obstacles * len(cells)), len(candidates))
+        occupied = set(candidates[len(candidates) - count :])
+    else:
+        occupied = {(row, column) for row, column in cells if occupancy[row][column]}
+    noise = reference_noise(generator, seed, index, 0)
+    free = sorted((cell for cell in cells if cell not in occupied), key=lambda cell: noise[cell])
+    level_count = len(generator.costs)
+    shares = generator.shares or (1 / level_count,) * level_count
+    terrain = [[0] * columns for _ in range(rows)]
+    start = 0
+    for level in range(level_count):
+        total = 1.0 if level == level_count - 1 else sum(shares[: level + 1])
+        end = (len(free) * min(threshold(total), 2**32) + 2**31) // 2**32
+        for row, column in free[start:end]:
+            terrain[row][column] = generator.costs[level]
+        start = end
+    return terrain
+
+
+def reference_noise(generator: Terrain, seed: int, index: int, octave: int) -> dict[Cell, int]:
+    """Return the sum of two octaves of value noise for each cell."""
+    first = reference_octave(generator, seed, index, octave, generator.scale)
+    second = reference_octave(generator, seed, index, octave + 1, (generator.scale + 1) // 2)
+    return {cell: (2 * first[cell] + second[cell]) // 64 for cell in first}
+
+
+def reference_octave(
+    generator: Terrain, seed: int, index: int, octave: int, spacing: int
+) -> dict[Cell, int]:
+    """Return an octave of value noise: numbers on a lattice, interpolated by a smooth step."""
+    rows, columns = generator.map_size
+    number = octave * 2**22
+    w0, w1, _, _ = block(seed, index, 0, TERRAIN, number)
+    down = bounded(w0, 0, spacing - 1)
+    right = bounded(w1, 0, spacing - 1)
+    tall = (down + rows - 1) // spacing + 2
+    wide = (right + columns - 1) // spacing + 2
+    halves: list[int] = []
+    while len(halves) < tall * wide:
+        number += 1
+        for word in block(seed, index, 0, TERRAIN, number):
+            halves += [word % 2**16, word // 2**16]
+
+    def mixed(first: int, second: int, step: int) -> int:
+        weight = step**2 * (3 * spacing - 2 * step) * 2**16 // spacing**3
+        return (first * (2**16 - weight) + second * weight) // 2**16
+
+    heights = {}
+    for row in range(rows):
+        for column in range(columns):
+            i, row_step = divmod(row + down, spacing)
+            j, column_step = divmod(column + right, spacing)
+            above, below = (
+                mixed(halves[k * wide + j], halves[k * wide + j + 1], column_step)
+                for k in (i, i + 1)
+            )
+            heights[row, column] = mixed(above, below, row_step)
+    return heights
 
 
 def reference_points(cells: list[Cell], seed: int, index: int, count: int) -> list[Cell]:
