@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from mapdata.datasets import OnlineMapDataset as OnlineMapDataset
     from mapdata.datasets import ProblemSetDataset as ProblemSetDataset
     from mapdata.datasets import Sample as Sample
+    from mapdata.datasets import Tiles as Tiles
     from mapdata.datasets import Waypoints as Waypoints
     from mapdata.evaluation import Plan as Plan
     from mapdata.evaluation import evaluate as evaluate
@@ -64,6 +65,7 @@ _FACES = {
         "OnlineMapDataset",
         "ProblemSetDataset",
         "Sample",
+        "Tiles",
         "Waypoints",
     ),
     "evaluation": ("Plan", "evaluate"),

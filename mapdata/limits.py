@@ -25,8 +25,17 @@ SPLITS = ("train", "val", "test")
 Range = tuple[int, int]
 """(lowest, highest), both included."""
 
-MAPS_AND_MASKS = ("map", "free", "path_mask", "start_mask", "goal_mask", "optimal_mask")
-"""The fields of samples that hold zeros and ones, which networks take as numbers.
+MAPS_AND_MASKS = (
+    "map",
+    "free",
+    "terrain",
+    "image",
+    "path_mask",
+    "start_mask",
+    "goal_mask",
+    "optimal_mask",
+)
+"""The uint8 fields of samples that networks take as numbers.
 
 ``optimal_moves`` is not among them, because it is a bit set.
 """

@@ -29,7 +29,7 @@ class DisagreeError(Exception):
 
 def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
     """Return the short summary of a dataset, one fact to a line."""
-    from mapdata.describe.dataset_card import counted
+    from mapdata.describe.dataset_card import TERRAIN_RULE, counted
 
     done = manifest.done
     size = sum(entry.bytes for entry in manifest.shards)
@@ -40,6 +40,8 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
     lines = {"maps": f"{done:,} of {rows} x {columns} cells in {shards}{unfinished}"}
     if manifest.generator is None:
         lines |= _import_summary(root, manifest)
+    if manifest.has_terrain:
+        lines["terrain"] = TERRAIN_RULE
     if seconds is not None:
         lines["rate"] = f"{seconds:.1f} s, {done / seconds:,.0f} maps/s"
     lines["size"] = f"{size / 1e6:,.1f} MB, {size / max(done, 1):.0f} bytes a map"
@@ -66,7 +68,7 @@ def _import_summary(root: str, manifest: Manifest) -> dict[str, str]:
     }
     lines = {
         "splits": ", ".join(f"{split} {count:,}" for split, count in counts.items()),
-        "movement": movement_text(manifest.movement),
+        "movement": movement_text(manifest.movement, manifest.has_terrain),
     }
     # The file of provenance may be missing, damaged or of an older version, without some entries.
     with suppress(OSError, ValueError, TypeError, KeyError):

@@ -16,6 +16,7 @@ from mapdata.datasets.problem_set_dataset import ProblemSetDataset
 from mapdata.datasets.sample import Sample, row
 from mapdata.datasets.sampler import EpochSampler, LateLoader
 from mapdata.datasets.text import maze_text
+from mapdata.datasets.tiles import Tiles
 
 if TYPE_CHECKING:
     from mapdata.datasets.datamodule import MapDataModule
@@ -32,6 +33,7 @@ __all__ = [
     "OnlineMapDataset",
     "ProblemSetDataset",
     "Sample",
+    "Tiles",
     "Waypoints",
     "maze_text",
     "row",

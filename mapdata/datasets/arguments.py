@@ -19,6 +19,7 @@ from mapdata.checks import (
 )
 from mapdata.datasets.fields import FIELDS, Waypoints
 from mapdata.datasets.sample import Sample
+from mapdata.datasets.tiles import Tiles
 from mapdata.datasets.transforms import check_transform
 from mapdata.limits import MAPS_AND_MASKS
 from mapdata.movement import Movement, check_movement
@@ -26,8 +27,8 @@ from mapdata.problems.sources import Route, Source, plain_text
 from mapdata.search.api import SEARCHES
 from mapdata.search.footprint import min_squared_clearance
 
-FieldFunction = Callable[[Sample], Any] | Waypoints
-"""A field without a name of `FIELDS`: a function of the user, or `Waypoints`.
+FieldFunction = Callable[[Sample], Any] | Waypoints | Tiles
+"""A field without a name of `FIELDS`: a function of the user, `Waypoints` or `Tiles`.
 
 A function takes the batch so far and returns an array or a tensor.
 """

@@ -18,7 +18,7 @@ from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 
 from mapdata.arrays import Bytes, Flags, Float32s, Int32s, Ints, offsets_of
-from mapdata.datasets.fields import Paths, Rooms
+from mapdata.datasets.fields import Paths, Rooms, StoredMaps
 from mapdata.generators.maps import WORD, unpack_map
 from mapdata.jit import COMPILED, Int, kernel
 from mapdata.limits import MAX_ROOMS, SPLITS
@@ -48,14 +48,19 @@ ARRAYS = (
     "astar_iterations",
     "astar_straight",
     "astar_diagonal",
+    "terrain",
 )
-"""The arrays of a shard that batches are read from, in the order of the address table's columns."""
+"""The arrays of a shard that batches are read from, in the order of the address table's columns.
+
+A shard of maps without terrain has no array ``terrain``. Its address is 0 then.
+"""
 
 _MAPS = ARRAYS.index("maps")
 _ROOM_OFFSETS = ARRAYS.index("room_offsets")
 _PAIR_OFFSETS = ARRAYS.index("pair_offsets")
 _SEEDS = ARRAYS.index("seeds")
 _DIAGONAL = ARRAYS.index("astar_diagonal")
+_TERRAIN = ARRAYS.index("terrain")
 
 
 class SearchColumns(NamedTuple):
@@ -65,7 +70,7 @@ class SearchColumns(NamedTuple):
         offsets: where the moves of each segment begin.
         moves: the packed moves of all segments.
         iterations: the iterations of each segment.
-        straight: the straight moves of each pair of rooms.
+        straight: the straight moves of each pair of rooms; by A* on terrain their costs.
     """
 
     offsets: int
@@ -175,6 +180,19 @@ def read_maps(table: Ints, shards: Ints, maps: Ints, grids: Bytes) -> None:
     for b in range(len(shards)):
         packed_maps = _array(table[shards[b], _MAPS], np.uint8)
         unpack_map(packed_maps, maps[b] * bytes_per_map, grids[b])
+
+
+@kernel
+def read_terrain(table: Ints, shards: Ints, maps: Ints, terrain: Bytes) -> None:
+    """Copy the costs of map ``maps[b]`` of shard ``shards[b]`` into ``terrain[b]``, (B, H, W)."""
+    rows, columns = terrain.shape[1:]
+    for b in range(len(shards)):
+        costs = _array(table[shards[b], _TERRAIN], np.uint8)
+        cell = maps[b] * rows * columns
+        for row in range(rows):
+            for column in range(columns):
+                terrain[b, row, column] = costs[cell]
+                cell += 1
 
 
 @kernel
@@ -305,6 +323,7 @@ def read_rooms(
     straight_column: Int,
     has_diagonals: Int,
     diagonal_cost: float,
+    cost_unit: float,
     max_rooms: Int,
 ) -> tuple[Float32s, Ints]:
     """Read the connection matrices and seed points of maps.
@@ -316,6 +335,8 @@ def read_rooms(
         straight_column: the column of the search's straight moves.
         has_diagonals: whether diagonal moves are stored beside the straight ones.
         diagonal_cost: cost of a diagonal move.
+        cost_unit: cost in cells of a stored straight move: 1, or 0.5 for the doubled costs of A* on
+            terrain.
         max_rooms: R, rooms in a matrix.
 
     Returns:
@@ -338,8 +359,10 @@ def read_rooms(
             matrices[b, i, i] = 0
             for j in range(i + 1, room_count):
                 cost = float(straight_moves[pair])  # -1 without a connection
-                if has_diagonals and cost >= 0:
-                    cost += diagonal_moves[pair] * diagonal_cost
+                if cost >= 0:
+                    if has_diagonals:
+                        cost += diagonal_moves[pair] * diagonal_cost
+                    cost *= cost_unit
                 matrices[b, i, j] = cost
                 matrices[b, j, i] = cost
                 pair += 1
@@ -403,6 +426,7 @@ class BatchReader:
         root, shards, manifests: the dataset.
         map_size: (rows, columns) of all its maps.
         movement: of the stored labels.
+        has_terrain: whether the maps have terrain.
         max_seed_points: R, the largest number of seed points that a map can have.
         min_clearance: clearance of the cells that are served as free, as from
             `min_squared_clearance`.
@@ -435,6 +459,7 @@ class BatchReader:
         self.manifests = self.root.manifests
         self.map_size = self.root.map_size
         self.movement = self.root.movement
+        self.has_terrain = self.root.has_terrain
         self.max_seed_points = max(manifest.max_seed_points for manifest in self.manifests)
         if self.max_seed_points > MAX_ROOMS:
             raise ShardError(
@@ -462,6 +487,7 @@ class BatchReader:
         self.offsets = offsets_of([self._problem_count(entry) for _, _, entry in self.shards])
         # Row k holds the addresses of the `ARRAYS` of shard k, and zeros until it is opened.
         self._addresses = np.zeros((len(self.shards), len(ARRAYS)), np.int64)
+        self._first_maps = np.array([entry.start for _, _, entry in self.shards])
         self._open: dict[int, Shard] = {}
         # Row p is (map in its shard, room, room) of problem p. The rows of a shard are filled when
         # it is opened.
@@ -529,7 +555,9 @@ class BatchReader:
         # If two threads open a shard at once, the first shard stays: a kernel may be reading its
         # arrays already.
         shard = self._open.setdefault(k, shard)
-        self._addresses[k] = [shard.arrays[name].ctypes.data for name in ARRAYS]
+        self._addresses[k] = [
+            shard.arrays[name].ctypes.data if name in shard.arrays else 0 for name in ARRAYS
+        ]
         return shard
 
     def solvable_problems(self) -> Ints | None:
@@ -579,17 +607,21 @@ class BatchReader:
         return count
 
     def grids(self, stored: StoredProblems) -> Bytes:
-        """Return the maps of problems, (B, H, W), inflated by the radius of the robot."""
-        grids = self.obstacles(stored)
-        if self.min_clearance > 1:  # a smaller clearance occupies no cell: spare the compilation
-            inflate_all(grids, self.min_clearance)
-        return grids
-
-    def obstacles(self, stored: StoredProblems) -> Bytes:
         """Return the maps of problems, (B, H, W), that are not inflated."""
         grids = np.empty((len(stored.shards), *self.map_size), np.uint8)
         read_maps(self._addresses, stored.shards, stored.maps, grids)
         return grids
+
+    def stored_maps(self, stored: StoredProblems, grids: Bytes) -> StoredMaps:
+        """Return the maps of problems, whose ``grids`` (B, H, W) are read already.
+
+        The number of a map is that in its own dataset, also where there are several roots.
+        """
+        terrain = None
+        if self.has_terrain:
+            terrain = np.empty((len(stored.shards), *self.map_size), np.uint8)
+            read_terrain(self._addresses, stored.shards, stored.maps, terrain)
+        return StoredMaps(self._first_maps[stored.shards] + stored.maps, grids, terrain)
 
     def seed_points(self, stored: StoredProblems, rooms: Ints) -> Ints:
         """Return the seed point of room ``rooms[b]`` of each map, (B, 2)."""
@@ -650,6 +682,7 @@ class BatchReader:
             SEARCH_COLUMNS[search].straight,
             search == "astar" and self.movement.connectivity == 8,
             self.movement.diagonal_cost,
+            0.5 if search == "astar" and self.has_terrain else 1.0,
             self.max_seed_points,
         )
         return Rooms(matrices, seed_points)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cache
@@ -28,16 +28,22 @@ from mapdata.datasets.arguments import (
 from mapdata.datasets.batches import BatchReader, stored_counts
 from mapdata.datasets.fields import (
     FIELDS,
+    NO_TAUT_LINES,
     Batch,
     Field,
     Paths,
     Rooms,
+    StoredMaps,
     Waypoints,
+    check_cost,
     divided_lines,
     room_matrices,
+    terrain_room_matrices,
+    without_occupied,
 )
 from mapdata.datasets.info import DatasetInfo, field_infos
 from mapdata.datasets.sample import Rows, Sample, cast, row, sample_class, stack
+from mapdata.datasets.tiles import Tiles
 from mapdata.generators.generator import UnknownFamily
 from mapdata.generators.recipe import Recipe
 from mapdata.limits import SPLITS, Size
@@ -53,6 +59,8 @@ from mapdata.problems.sources import (
     problem_source,
 )
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
+from mapdata.problems.terrain_sampling import sample_terrain_problems
+from mapdata.search.footprint import inflate_all
 from mapdata.search.lattice import move_rule
 from mapdata.shards.locations import Locations, locations
 
@@ -87,14 +95,32 @@ class SampledProblems(NamedTuple):
     """Problems that were sampled on B maps.
 
     Attributes:
-        grids: (B, H, W) uint8, the maps.
+        stored_maps: the maps before inflation.
+        grids: (B, H, W) uint8, the maps as served.
         ends: (B, 4) int64, row and column of start and goal, -1 where no problem was found.
         paths: their paths; None if they are not searched yet.
     """
 
+    stored_maps: StoredMaps
     grids: Bytes
     ends: Ints
     paths: Paths | None
+
+    def replace_rows(self, rows: Ints, replacements: SampledProblems) -> SampledProblems:
+        """Return these problems with problem ``rows[k]`` replaced by problem k of others.
+
+        The arrays are changed in place; paths are copied.
+        """
+        self.grids[rows] = replacements.grids
+        self.ends[rows] = replacements.ends
+        # Without inflation the stored grids are those above.
+        arrays = zip(self.stored_maps, replacements.stored_maps, strict=True)
+        for array, new_rows in arrays:
+            if array is not None:
+                array[rows] = new_rows
+        if self.paths is None or replacements.paths is None:
+            return self
+        return self._replace(paths=self.paths.with_rows(rows, replacements.paths))
 
 
 @cache
@@ -127,6 +153,9 @@ class ProblemDataset(Dataset[Sample], ABC):
     map_size: Size
     """(rows, columns) of all maps."""
 
+    has_terrain: bool
+    """Whether the maps have terrain: free cells that cost different amounts."""
+
     _opened: ClassVar[tuple[str, ...]]
     """Attributes that `_open` sets. They are not pickled: each process opens the files itself."""
 
@@ -144,6 +173,15 @@ class ProblemDataset(Dataset[Sample], ABC):
         self.dtype = torch_dtype(serving.dtype, serving.names)
         self.transform = serving.transform
         keep_freed_memory()
+
+    def _check_fields_on_terrain(self) -> None:
+        """Refuse fields that do not exist on terrain.
+
+        Raises:
+            ValueError: waypoints, where the maps have terrain.
+        """
+        if self.has_terrain and "waypoints" in self._field_names:
+            raise ValueError(f"fields: {NO_TAUT_LINES}")
 
     @abstractmethod
     def __len__(self) -> int:
@@ -218,8 +256,8 @@ class ProblemDataset(Dataset[Sample], ABC):
     def plot(self, index: int | Sequence[int] = 0, axes: Axes | None = None) -> Axes:
         """Draw a problem: its map, start S, goal G and path, whichever fields are served.
 
-        The first dense field among the served ones, such as ``cost_to_go``, is drawn as a shade. A
-        ``transform`` is not applied. ``dataset.plot(0).figure.savefig("map.png")`` writes a
+        The first dense field among the served ones, such as ``cost_to_go``, is drawn as a shade;
+        without one, the costs of the terrain if the maps have any. A ``transform`` is not applied. ``dataset.plot(0).figure.savefig("map.png")`` writes a
         picture.
 
         Args:
@@ -237,7 +275,8 @@ class ProblemDataset(Dataset[Sample], ABC):
         from mapdata.plotting.plot_models import MAX_SAMPLES, plot_sample
 
         indices = [self._checked_index(i) for i in np.atleast_1d(index)[:MAX_SAMPLES]]
-        fields = tuple(dict.fromkeys((*DEFAULT_FIELDS, *self.serving.fields)))
+        terrain_field = ("terrain",) if self.has_terrain else ()
+        fields = tuple(dict.fromkeys((*DEFAULT_FIELDS, *self.serving.fields, *terrain_field)))
         batch = self._batch(np.array(indices, np.int64), epoch=0)
         samples = self._compute_fields(batch, fields, field_names(fields))
         return plot_sample(row(samples, 0) if np.ndim(index) == 0 else samples, axes)
@@ -272,7 +311,7 @@ class ProblemDataset(Dataset[Sample], ABC):
         """Return fields of a batch; a function gets the fields before it."""
         tensors: list[Tensor] = []
         for field in fields:
-            if isinstance(field, (str, Waypoints)):
+            if isinstance(field, (str, Waypoints, Tiles)):
                 compute = FIELDS[field] if isinstance(field, str) else field
                 array = np.ascontiguousarray(compute(batch))
                 tensors.append(torch.from_numpy(array))
@@ -293,16 +332,12 @@ class SampledProblemDataset(ProblemDataset):
     Map p is the p-th map of the split, and problem i is first sampled on map i.
     """
 
-    @abstractmethod
-    def _grids(self, map_numbers: Ints) -> Bytes:
-        """Return the grids of maps by their numbers in the split, (B, H, W).
-
-        They are inflated by the radius of the robot.
-        """
+    _min_clearance: int
+    """Clearance of the cells that are served as free, as from `min_squared_clearance`."""
 
     @abstractmethod
-    def _obstacles(self, map_numbers: Ints) -> Bytes:
-        """Return the grids of maps, (B, H, W), that are not inflated."""
+    def _stored_maps(self, map_numbers: Ints) -> StoredMaps:
+        """Return maps by their numbers in the split, before inflation."""
 
     @abstractmethod
     def _radius_in_cells(self) -> float:
@@ -312,11 +347,37 @@ class SampledProblemDataset(ProblemDataset):
     def _seed_points(self, map_numbers: Ints) -> Ints:
         """Return the seed points of maps by their numbers, (B, R, 2)."""
 
-    def _rooms(self, map_numbers: Ints, grids: Bytes) -> Rooms:
-        """Return the rooms of maps, whose ``grids`` (B, H, W) are known."""
+    def _rooms(
+        self, map_numbers: Ints, grids: Bytes, compute_stored_maps: Callable[[], StoredMaps]
+    ) -> Rooms:
+        """Return the rooms of maps, solved anew.
+
+        Args:
+            map_numbers: (B,) numbers of the maps in the split.
+            grids: (B, H, W), the maps as served.
+            compute_stored_maps: returns the maps before inflation.
+        """
         seed_points = self._seed_points(map_numbers)
-        matrices = room_matrices(self.serving.search, grids, seed_points, self.movement)
+        if self.serving.search == "astar" and self.has_terrain:
+            stored_maps = compute_stored_maps()
+            terrain = _inflated_terrain(stored_maps, grids)
+            matrices = terrain_room_matrices(
+                stored_maps.numbers, terrain, seed_points, self.movement
+            )
+        else:
+            matrices = room_matrices(self.serving.search, grids, seed_points, self.movement)
         return Rooms(matrices, seed_points)
+
+    def _inflated(self, stored_grids: Bytes) -> Bytes:
+        """Return grids (B, H, W) after inflation by the radius of the robot.
+
+        Without a radius they are the stored ones themselves.
+        """
+        if self._min_clearance <= 1:  # no cell becomes occupied: spare the compilation
+            return stored_grids
+        grids = stored_grids.copy()
+        inflate_all(grids, self._min_clearance)
+        return grids
 
     @abstractmethod
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
@@ -333,30 +394,28 @@ class SampledProblemDataset(ProblemDataset):
         Each of them is sampled on its own map, or on a substitute if that map has none.
         """
         maps = indices.copy()
-        grids, ends, paths = self._sample(maps, indices, epoch, attempt=0)
+        problems = self._sample(maps, indices, epoch, attempt=0)
         attempt = 0
         failed_draws = 0
-        missing = np.flatnonzero(ends[:, 0] < 0)
+        missing = np.flatnonzero(problems.ends[:, 0] < 0)
         while len(missing):
             if failed_draws > MAX_FAILED_DRAWS:
                 raise ValueError(f"problems={self.serving.problems}: none on one map after another")
             attempt += 1
             maps[missing] = self._substitutes(indices[missing], attempt)
             sampled = self._sample(maps[missing], indices[missing], epoch, attempt)
-            grids[missing] = sampled.grids
-            ends[missing] = sampled.ends
-            if paths is not None and sampled.paths is not None:
-                paths = paths.with_rows(missing, sampled.paths)
+            problems = problems.replace_rows(missing, sampled)
             if (sampled.ends >= 0).any():
                 failed_draws = 0
             else:
                 failed_draws += len(missing) * DRAWS * (2 * attempt + 1)
-            missing = np.flatnonzero(ends[:, 0] < 0)
-        starts = np.ascontiguousarray(ends[:, :2])
-        goals = np.ascontiguousarray(ends[:, 2:])
-        batch = self._as_batch(indices, maps, grids, starts, goals)
-        if paths is not None:
-            batch.paths = paths
+            missing = np.flatnonzero(problems.ends[:, 0] < 0)
+        stored_maps = problems.stored_maps
+        starts = np.ascontiguousarray(problems.ends[:, :2])
+        goals = np.ascontiguousarray(problems.ends[:, 2:])
+        batch = self._as_batch(indices, maps, problems.grids, starts, goals, lambda: stored_maps)
+        if problems.paths is not None:
+            batch.paths = problems.paths
         return batch
 
     def _sample(
@@ -375,26 +434,40 @@ class SampledProblemDataset(ProblemDataset):
         """
         problems = self.serving.problems
         assert isinstance(problems, Random)
-        grids = self._grids(map_numbers)
-        # DRAWS * (2 * attempt + 1) draws, beginning after those of the attempts before.
-        draws = (DRAWS * attempt**2, DRAWS * (attempt + 1) ** 2)
-        ends, cells, offsets, iterations = sample_problems(
-            grids,
+        stored_maps = self._stored_maps(map_numbers)
+        grids = self._inflated(stored_maps.grids)
+        arguments = (
             self._seed_points(map_numbers)[:, 0] if problems.to_first_seed_point else None,
             np.uint64(self.serving.sampling_seed),
             epoch,
             indices,
-            draws,
+            # DRAWS * (2 * attempt + 1) draws, beginning after those of the attempts before.
+            (DRAWS * attempt**2, DRAWS * (attempt + 1) ** 2),
             *problems.conditions,
             move_rule(self.movement),
         )
+        # Without conditions the costs of cells do not matter, as no move costs less than 1.
+        if self.has_terrain and problems.conditions != Random().conditions:
+            terrain = _inflated_terrain(stored_maps, grids)
+            ends, cells, offsets, iterations, row, high_cost = sample_terrain_problems(
+                terrain, *arguments
+            )
+            check_cost(stored_maps.numbers, row, high_cost)
+        else:
+            ends, cells, offsets, iterations = sample_problems(grids, *arguments)
         # Conditions on the path are tested by A*, whose paths need not be searched again.
         has_paths = len(cells) > 0 and self.serving.search == "astar"
         paths = Paths(cells, offsets, iterations) if has_paths else None
-        return SampledProblems(grids, ends, paths)
+        return SampledProblems(stored_maps, grids, ends, paths)
 
     def _as_batch(
-        self, indices: Ints, map_numbers: Ints, grids: Bytes, starts: Ints, goals: Ints
+        self,
+        indices: Ints,
+        map_numbers: Ints,
+        grids: Bytes,
+        starts: Ints,
+        goals: Ints,
+        compute_stored_maps: Callable[[], StoredMaps],
     ) -> Batch:
         """Return problems as a batch whose paths are searched when they are needed."""
         return Batch(
@@ -404,13 +477,13 @@ class SampledProblemDataset(ProblemDataset):
             starts=starts,
             goals=goals,
             problems=indices,
-            compute_rooms=lambda: self._rooms(map_numbers, grids),
+            compute_rooms=lambda: self._rooms(map_numbers, grids, compute_stored_maps),
+            compute_stored_maps=compute_stored_maps,
+            symmetries=np.zeros(len(indices), np.int64),
             requested_fields=self._field_names,
             max_length=self.serving.max_length,
             radius=self._radius_in_cells(),
-            compute_obstacles=(
-                (lambda: self._obstacles(map_numbers)) if self.serving.radius else None
-            ),
+            has_terrain=self.has_terrain,
         )
 
 
@@ -504,6 +577,9 @@ class MapDataset(SampledProblemDataset):
         self._max_seed_points = reader.max_seed_points
         self.movement = movement or reader.movement
         self.map_size = reader.map_size
+        self.has_terrain = reader.has_terrain
+        self._min_clearance = reader.min_clearance
+        self._check_fields_on_terrain()
         # Labels are stored for one movement and for a robot without extent.
         self._labels_fit = self.movement == reader.movement and reader.min_clearance <= 1
 
@@ -693,19 +769,22 @@ class MapDataset(SampledProblemDataset):
     def _stored_problems(self, numbers: Ints) -> Batch:
         """Return problems of a route or of pairs by their numbers among all stored problems."""
         stored = self.reader.locate(numbers)
-        grids = self.reader.grids(stored)
+        stored_grids = self.reader.grids(stored)
         starts = self.reader.seed_points(stored, stored.first_rooms)
         goals = self.reader.seed_points(stored, stored.second_rooms)
-        batch = self._as_batch(numbers, numbers, grids, starts, goals)
+
+        def compute_stored_maps() -> StoredMaps:
+            return self.reader.stored_maps(stored, stored_grids)
+
+        grids = self._inflated(stored_grids)
+        batch = self._as_batch(numbers, numbers, grids, starts, goals, compute_stored_maps)
         if isinstance(self.serving.problems, Route) and self._labels_fit:
             batch.compute_paths = lambda: self.reader.paths(stored, self.serving.search)
         return batch
 
-    def _grids(self, map_numbers: Ints) -> Bytes:
-        return self.reader.grids(self.reader.locate(map_numbers))
-
-    def _obstacles(self, map_numbers: Ints) -> Bytes:
-        return self.reader.obstacles(self.reader.locate(map_numbers))
+    def _stored_maps(self, map_numbers: Ints) -> StoredMaps:
+        stored = self.reader.locate(map_numbers)
+        return self.reader.stored_maps(stored, self.reader.grids(stored))
 
     def _radius_in_cells(self) -> float:
         radius = self.serving.radius
@@ -718,16 +797,24 @@ class MapDataset(SampledProblemDataset):
     def _seed_points(self, map_numbers: Ints) -> Ints:
         return self._stored_rooms(map_numbers).seed_points
 
-    def _rooms(self, map_numbers: Ints, grids: Bytes) -> Rooms:
+    def _rooms(
+        self, map_numbers: Ints, grids: Bytes, compute_stored_maps: Callable[[], StoredMaps]
+    ) -> Rooms:
         return (
             self._stored_rooms(map_numbers)
             if self._labels_fit
-            else super()._rooms(map_numbers, grids)
+            else super()._rooms(map_numbers, grids, compute_stored_maps)
         )
 
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
         """Return the maps that follow those of the samples; the first map follows the last."""
         return (indices + attempt) % len(self.reader)
+
+
+def _inflated_terrain(stored_maps: StoredMaps, grids: Bytes) -> Bytes:
+    """Return the terrain of maps, whose ``grids`` (B, H, W) are inflated, after inflation."""
+    assert stored_maps.terrain is not None
+    return without_occupied(stored_maps.terrain, grids)
 
 
 def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:
@@ -753,9 +840,6 @@ def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:
         seed_points = batch.rooms.seed_points
         return batch.rooms._replace(seed_points=transform(seed_points, seed_points.shape[1]))
 
-    def compute_obstacles() -> Bytes:
-        return transform_grids(batch.obstacles, codes)
-
     return replace(
         batch,
         grids=transform_grids(batch.grids, codes),
@@ -763,5 +847,6 @@ def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:
         goals=transform(batch.goals),
         compute_paths=compute_paths,
         compute_rooms=compute_rooms,
-        compute_obstacles=compute_obstacles if batch.compute_obstacles else None,
+        compute_stored_maps=lambda: batch.stored_maps,
+        symmetries=codes,
     )

@@ -25,12 +25,21 @@ from mapdata.datasets.field_kernels import (
     path_probabilities,
 )
 from mapdata.datasets.sample import padded_path_length
+from mapdata.datasets.terrain_field_kernels import (
+    fill_terrain_goal_fields,
+    fill_terrain_room_matrices,
+    sum_terrain_steps,
+    terrain_path_probabilities,
+)
+from mapdata.datasets.tiles import Tiles
 from mapdata.movement import Movement
-from mapdata.search.api import SEARCHES, solve_batch
+from mapdata.problems.symmetry import transform_grids
+from mapdata.search.api import SEARCHES, high_cost_complaint, search_terrains, solve_batch
 from mapdata.search.footprint import clearances
 from mapdata.search.lattice import UNIT, move_rule
 from mapdata.search.lattice import hardness as hardness_of
 from mapdata.search.taut import NOT_FREE, robot_of, write_waypoints
+from mapdata.search.terrain import costs_from_sums
 
 
 class Paths(NamedTuple):
@@ -70,27 +79,44 @@ class Rooms(NamedTuple):
     seed_points: Ints
 
 
+class StoredMaps(NamedTuple):
+    """The maps of a batch as they are stored or generated, before symmetries and inflation.
+
+    Attributes:
+        numbers: (B,) int64, number of each map in its dataset.
+        grids: (B, H, W) uint8 occupancy.
+        terrain: (B, H, W) uint8, the cost of each cell, 0 on occupied cells; None for maps whose
+            free cells all cost the same.
+    """
+
+    numbers: Ints
+    grids: Bytes
+    terrain: Bytes | None
+
+
 @dataclass
 class Batch:
     """B problems, from which the functions of `FIELDS` compute the fields.
 
-    Paths, rooms, costs and goal fields are computed when they are first used, because only some
-    fields need them.
+    Paths, rooms, costs, goal fields, terrain and stored maps are computed when they are first used,
+    because only some fields need them.
 
     Attributes:
         movement: movement of the paths.
         search: "bfs" or "astar", the search whose paths are served.
-        grids: (B, H, W) uint8 occupancy.
+        grids: (B, H, W) uint8 occupancy as served, after symmetries and inflation.
         starts: (B, 2) int64.
         goals: (B, 2) int64.
         problems: (B,) int64, numbers of the problems in the dataset.
         compute_rooms: returns connection matrices and seed points.
+        compute_stored_maps: returns the maps before symmetries and inflation.
+        symmetries: (B,) int64, code of the symmetry of each map (`mapdata.problems.symmetry`); 0
+            without ``augment``.
         requested_fields: names of the fields that will be computed from this batch.
         max_length: fixed number of rows of ``path``; None for a multiple of 16.
         compute_paths: returns the paths; None to search them.
         radius: of the robot, in cells.
-        compute_obstacles: returns the maps before they were inflated by the radius, (B, H, W)
-            uint8; None without a radius.
+        has_terrain: whether the stored maps have terrain.
     """
 
     movement: Movement
@@ -100,11 +126,13 @@ class Batch:
     goals: Ints
     problems: Ints
     compute_rooms: Callable[[], Rooms]
+    compute_stored_maps: Callable[[], StoredMaps]
+    symmetries: Ints
     requested_fields: tuple[str, ...]
     max_length: int | None = None
     compute_paths: Callable[[], Paths] | None = None
     radius: float = 0.0
-    compute_obstacles: Callable[[], Bytes] | None = None
+    has_terrain: bool = False
 
     __repr__ = summary
 
@@ -113,17 +141,70 @@ class Batch:
         """The paths, read or searched."""
         if self.compute_paths:
             return self.compute_paths()
-        search = SEARCHES[self.search]
         # An end is occupied where the robot does not fit. Such a problem has no path.
-        solved = solve_batch(
-            search, self.grids, self.starts, self.goals, self.movement, allow_occupied_ends=True
-        )
+        if self.search == "astar" and self.terrain is not None:
+            solved, first_unsolved, high_cost = search_terrains(
+                self.terrain, self.starts, self.goals, self.movement, allow_occupied_ends=True
+            )
+            check_cost(self.map_numbers, first_unsolved, high_cost)
+        else:
+            search = SEARCHES[self.search]
+            solved = solve_batch(
+                search, self.grids, self.starts, self.goals, self.movement, allow_occupied_ends=True
+            )
         return Paths(solved.cells, solved.offsets, solved.iterations)
+
+    @cached_property
+    def stored_maps(self) -> StoredMaps:
+        """The maps before symmetries and inflation."""
+        return self.compute_stored_maps()
+
+    @property
+    def map_numbers(self) -> Ints:
+        """(B,) int64, number of each stored map in its dataset; of a `ProblemSet`, of its grid."""
+        return self.stored_maps.numbers
+
+    @property
+    def stored_grids(self) -> Bytes:
+        """(B, H, W) uint8, occupancy before symmetries and inflation."""
+        return self.stored_maps.grids
+
+    @property
+    def stored_terrain(self) -> Bytes | None:
+        """(B, H, W) uint8, terrain before symmetries and inflation; None without terrain."""
+        return self.stored_maps.terrain if self.has_terrain else None
 
     @cached_property
     def obstacles(self) -> Bytes:
         """(B, H, W) uint8, the maps before they were inflated by the radius of the robot."""
-        return self.compute_obstacles() if self.compute_obstacles else self.grids
+        return self._after_symmetries(self.stored_grids) if self.radius else self.grids
+
+    @cached_property
+    def terrain(self) -> Bytes | None:
+        """(B, H, W) uint8, the cost of each cell as served, after symmetries and inflation.
+
+        It is 0 exactly on the occupied cells of ``grids``. None if the maps have no terrain.
+        """
+        if self.stored_terrain is None:
+            return None
+        terrain = self._after_symmetries(self.stored_terrain)
+        return without_occupied(terrain, self.grids) if self.radius else terrain
+
+    @cached_property
+    def min_cell_costs(self) -> Ints | None:
+        """(B,) int64, the smallest cost of a free cell of each map; None without terrain.
+
+        The heuristic of A* is multiplied by it. It is 255 on a map without free cells.
+        """
+        if self.terrain is None:
+            return None
+        costs = np.where(self.terrain > 0, self.terrain, np.uint8(255))
+        min_costs: Ints = costs.min(axis=(1, 2)).astype(np.int64)
+        return min_costs
+
+    def _after_symmetries(self, grids: Bytes) -> Bytes:
+        """Return stored grids or terrain, (B, H, W), after the symmetries of this batch."""
+        return transform_grids(grids, self.symmetries) if self.symmetries.any() else grids
 
     @cached_property
     def rooms(self) -> Rooms:
@@ -133,7 +214,10 @@ class Batch:
     @cached_property
     def costs(self) -> Floats:
         """(B,) cost of the paths, -1 without a path; BFS counts moves."""
-        straight_moves, diagonal_moves = count_steps(self.paths.cells, self.paths.offsets)
+        cells, offsets, _ = self.paths
+        if self.search == "astar" and self.terrain is not None:
+            return costs_from_sums(sum_terrain_steps(self.terrain, cells, offsets), self.movement)
+        straight_moves, diagonal_moves = count_steps(cells, offsets)
         diagonal_cost = 1.0 if self.search == "bfs" else self.movement.diagonal_cost
         return straight_moves + diagonal_moves * diagonal_cost
 
@@ -146,7 +230,14 @@ class Batch:
             dtype = np.uint8 if name.startswith("optimal") else np.float32
             arrays.append(np.empty((count, 1, *self.grids.shape[1:]), dtype))
         goal_fields = GoalFields(*arrays)
-        fill_goal_fields(self.grids, self.starts, self.goals, move_rule(self.movement), goal_fields)
+        rule = move_rule(self.movement)
+        if self.terrain is None:
+            fill_goal_fields(self.grids, self.starts, self.goals, rule, goal_fields)
+        else:
+            row, high_cost = fill_terrain_goal_fields(
+                self.terrain, self.starts, self.goals, rule, goal_fields
+            )
+            check_cost(self.map_numbers, row, high_cost)
         return goal_fields
 
 
@@ -158,6 +249,14 @@ def map_(batch: Batch) -> Bytes:
 def free(batch: Batch) -> Bytes:
     """``free``: (B, 1, H, W) uint8, 1 free: the opposite of ``map``."""
     return batch.grids[:, None] ^ np.uint8(1)
+
+
+def terrain(batch: Batch) -> Bytes:
+    """``terrain``: (B, 1, H, W) uint8, cost of each cell, 1 to 255, 0 occupied.
+
+    On maps without terrain all free cells cost 1, as on terrain of ones.
+    """
+    return free(batch) if batch.terrain is None else batch.terrain[:, None]
 
 
 def start(batch: Batch) -> Ints:
@@ -189,20 +288,26 @@ def length(batch: Batch) -> Ints:
 
 
 def cost(batch: Batch) -> Float32s:
-    """``cost``: (B,) float32, cost of the path in cells (BFS: moves), -1 without one."""
+    """``cost``: (B,) float32, cost of the path in cells (BFS: moves), -1 without one.
+
+    On terrain a move costs the mean of its two cells times its length.
+    """
     return batch.costs.astype(np.float32)
 
 
 def hardness(batch: Batch) -> Float32s:
     """``hardness``: (B,) float32, optimal cost over heuristic.
 
-    1 when start = goal, -1 without a path.
+    1 when start = goal, -1 without a path. On terrain the heuristic is that of a map whose cells all
+    have the smallest cost of a free cell.
     """
     optimal_costs = batch.costs
-    # With diagonal moves the number of moves, which BFS minimizes, is not the cost.
-    if batch.search == "bfs" and batch.movement.connectivity == 8:
+    # With diagonal moves and on terrain the number of moves, which BFS minimizes, is not the cost.
+    if batch.search == "bfs" and (batch.movement.connectivity == 8 or batch.has_terrain):
         optimal_costs = replace(batch, search="astar", compute_paths=None).costs
-    ratios = hardness_of(optimal_costs, batch.starts, batch.goals, batch.movement)
+    ratios = hardness_of(
+        optimal_costs, batch.starts, batch.goals, batch.movement, batch.min_cell_costs
+    )
     return ratios.astype(np.float32)
 
 
@@ -279,9 +384,14 @@ def path_probability(batch: Batch) -> Float32s:
     a path.
     """
     cells, offsets, _ = batch.paths
-    return path_probabilities(
-        batch.grids, batch.starts, batch.goals, cells, offsets, move_rule(batch.movement)
+    rule = move_rule(batch.movement)
+    if batch.terrain is None:
+        return path_probabilities(batch.grids, batch.starts, batch.goals, cells, offsets, rule)
+    probabilities, row, high_cost = terrain_path_probabilities(
+        batch.terrain, batch.starts, batch.goals, cells, offsets, rule
     )
+    check_cost(batch.map_numbers, row, high_cost)
+    return probabilities
 
 
 def connection_matrix(batch: Batch) -> Float32s:
@@ -364,8 +474,21 @@ class Waypoints:
         return points
 
 
+NO_TAUT_LINES = (
+    "waypoints and bends: got maps with terrain, expected maps whose free cells all cost the same, "
+    "since a taut line ignores costs; take the field 'path'"
+)
+"""The error for taut lines on terrain, where a straight line may cost more than a bent one."""
+
+
 def divided_lines(batch: Batch, count: int) -> tuple[Float32s, Ints]:
-    """Return ``count`` points of each taut line, and the numbers of bends as `write_waypoints`."""
+    """Return ``count`` points of each taut line, and the numbers of bends as `write_waypoints`.
+
+    Raises:
+        ValueError: the maps have terrain.
+    """
+    if batch.has_terrain:
+        raise ValueError(NO_TAUT_LINES)
     points = np.empty((len(batch.grids), count, 2), np.float32)
     cells, offsets, _ = batch.paths
     robot = robot_of(batch.radius)
@@ -383,6 +506,14 @@ def waypoints(batch: Batch) -> Float32s:
     return Waypoints()(batch)
 
 
+def image(batch: Batch) -> Bytes:
+    """``image``: (B, 3, k * H, k * W) uint8, a picture of the map as served, red, green and blue.
+
+    Each cell is a tile of k x k pixels, drawn by its cost. k is 8, or that of a `Tiles`.
+    """
+    return Tiles()(batch)
+
+
 Field = Callable[[Batch], Array]
 
 FIELDS: dict[str, Field] = {
@@ -390,6 +521,7 @@ FIELDS: dict[str, Field] = {
     for field in (
         map_,
         free,
+        terrain,
         start,
         goal,
         path,
@@ -410,6 +542,7 @@ FIELDS: dict[str, Field] = {
         seed_points,
         problem,
         waypoints,
+        image,
     )
 }
 """All fields by name."""
@@ -421,6 +554,11 @@ def _mask_cells(cells: Ints, grids: Bytes) -> Bytes:
     rows, columns = cells.T
     mask[np.arange(len(cells)), 0, rows, columns] = 1
     return mask
+
+
+def without_occupied(terrain: Bytes, grids: Bytes) -> Bytes:
+    """Return terrain (B, H, W) that is 0 on the occupied cells of ``grids``, (B, H, W), too."""
+    return np.where(grids, np.uint8(0), terrain)
 
 
 def room_matrices(search: str, grids: Bytes, seed_points: Ints, movement: Movement) -> Float32s:
@@ -438,3 +576,37 @@ def room_matrices(search: str, grids: Bytes, seed_points: Ints, movement: Moveme
     if search == "bfs":
         diagonal_cost = UNIT
     return fill_room_matrices(grids, seed_points, (diagonals, diagonal_cost))
+
+
+def terrain_room_matrices(
+    map_numbers: Ints, terrain: Bytes, seed_points: Ints, movement: Movement
+) -> Float32s:
+    """Return connection matrices (B, R, R) float32 by A* on terrain, as `room_matrices` does.
+
+    Args:
+        map_numbers: (B,) numbers of the maps, for the error.
+        terrain: (B, H, W).
+        seed_points: (B, R, 2), padded with -1.
+        movement: movement of the paths.
+
+    Raises:
+        ValueError: costs that are too high to be exact; the message has the number of the map.
+    """
+    matrices, row, high_cost = fill_terrain_room_matrices(terrain, seed_points, move_rule(movement))
+    check_cost(map_numbers, row, high_cost)
+    return matrices
+
+
+def check_cost(map_numbers: Ints, row: int, high_cost: int) -> None:
+    """Refuse a map whose costs are too high to be exact.
+
+    Args:
+        map_numbers: (B,) numbers of the maps of a batch.
+        row: of the map in the batch, as kernels return it.
+        high_cost: its doubled cost, as kernels return it; 0 if all costs are exact.
+
+    Raises:
+        ValueError: such a cost; the message has the number of the map.
+    """
+    if high_cost:
+        raise ValueError(f"map {map_numbers[row]}: {high_cost_complaint(high_cost)}")

@@ -11,7 +11,7 @@ from mapdata.arrays import Bytes, Ints
 from mapdata.checks import check_count
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving, Transform
 from mapdata.datasets.dataset import SampledProblemDataset, SampledProblems
-from mapdata.datasets.fields import Paths
+from mapdata.datasets.fields import Paths, StoredMaps, check_cost, without_occupied
 from mapdata.datasets.info import DatasetInfo, field_infos
 from mapdata.generators.generator import identity
 from mapdata.generators.maps import Maps
@@ -21,8 +21,9 @@ from mapdata.limits import SPLITS
 from mapdata.movement import Movement
 from mapdata.problems.sampling import solve_pairs
 from mapdata.problems.sources import Random, Route, SourceLike, problem_source
+from mapdata.problems.terrain_sampling import solve_terrain_pairs
 from mapdata.search.api import SEARCHES
-from mapdata.search.footprint import inflate_all, min_squared_clearance
+from mapdata.search.footprint import min_squared_clearance
 from mapdata.search.lattice import move_rule
 
 
@@ -87,7 +88,9 @@ class OnlineMapDataset(SampledProblemDataset):
         self.length = recipe.maps if length is None else check_count("length", length)
         self.movement = movement or self.generator.movement
         self.map_size = self.generator.map_size
+        self.has_terrain = self.generator.has_terrain
         self._min_clearance = min_squared_clearance(radius, self.generator.resolution)
+        self._check_fields_on_terrain()
         self._open()
 
     def _open(self) -> None:
@@ -140,21 +143,11 @@ class OnlineMapDataset(SampledProblemDataset):
         indices = map_numbers if self._map_indices is None else self._map_indices[map_numbers]
         return generate(self.generator, self.seed, indices)
 
-    def _grids(self, map_numbers: Ints) -> Bytes:
-        return self._inflated(self._maps(map_numbers))
-
-    def _obstacles(self, map_numbers: Ints) -> Bytes:
-        return self._maps(map_numbers).occupancy
+    def _stored_maps(self, map_numbers: Ints) -> StoredMaps:
+        return _as_stored_maps(self._maps(map_numbers))
 
     def _radius_in_cells(self) -> float:
         return self.serving.radius / self.generator.resolution
-
-    def _inflated(self, maps: Maps) -> Bytes:
-        """Return the grids of maps, inflated by the radius of the robot."""
-        grids = maps.occupancy
-        if self._min_clearance > 1:  # a smaller clearance occupies no cell: spare the compilation
-            inflate_all(grids, self._min_clearance)
-        return grids
 
     def _seed_points(self, map_numbers: Ints) -> Ints:
         return self._maps(map_numbers).seed_points
@@ -173,19 +166,32 @@ class OnlineMapDataset(SampledProblemDataset):
         problems = self.serving.problems
         if isinstance(problems, Random):
             return super()._sample(map_numbers, indices, epoch, attempt)
-        generated = self._maps(map_numbers)
-        grids = self._inflated(generated)
-        is_route = isinstance(problems, Route)
-        ends, cells, offsets, iterations = solve_pairs(
-            grids,
-            generated.seed_points,
-            generated.rooms,
+        maps = self._maps(map_numbers)
+        stored_maps = _as_stored_maps(maps)
+        grids = self._inflated(stored_maps.grids)
+        rule = move_rule(self.movement)
+        arguments = (
+            maps.seed_points,
+            maps.rooms,
             np.uint64(self.serving.sampling_seed),
             epoch,
             indices,
-            is_route,
+            isinstance(problems, Route),
             problems.unsolvable,
-            SEARCHES[self.serving.search],
-            move_rule(self.movement),
         )
-        return SampledProblems(grids, ends, Paths(cells, offsets, iterations))
+        # BFS counts moves, on terrain, too.
+        if self.serving.search == "astar" and stored_maps.terrain is not None:
+            terrain = without_occupied(stored_maps.terrain, grids)
+            ends, cells, offsets, iterations, row, high_cost = solve_terrain_pairs(
+                terrain, *arguments, rule
+            )
+            check_cost(stored_maps.numbers, row, high_cost)
+        else:
+            search = SEARCHES[self.serving.search]
+            ends, cells, offsets, iterations = solve_pairs(grids, *arguments, search, rule)
+        return SampledProblems(stored_maps, grids, ends, Paths(cells, offsets, iterations))
+
+
+def _as_stored_maps(maps: Maps) -> StoredMaps:
+    """Return generated maps as those of a batch, before inflation."""
+    return StoredMaps(maps.index, maps.occupancy, maps.terrain)

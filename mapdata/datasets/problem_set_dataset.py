@@ -10,7 +10,14 @@ import torch
 from mapdata.arrays import Ints, offsets_of
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving, Transform
 from mapdata.datasets.dataset import ProblemDataset
-from mapdata.datasets.fields import Batch, Paths, Rooms, room_matrices
+from mapdata.datasets.fields import (
+    Batch,
+    Paths,
+    Rooms,
+    StoredMaps,
+    room_matrices,
+    terrain_room_matrices,
+)
 from mapdata.datasets.info import DatasetInfo, field_infos
 from mapdata.problems.problem_set import ProblemSet
 
@@ -78,6 +85,8 @@ class ProblemSetDataset(ProblemDataset):
         self.movement = problem_set.movement
         _, rows, columns = problem_set.grids.shape
         self.map_size = (rows, columns)
+        self.has_terrain = problem_set.terrain is not None
+        self._check_fields_on_terrain()
 
     def _open(self) -> None:
         """Open nothing: the problems are in memory, and pickled with the dataset."""
@@ -114,13 +123,19 @@ class ProblemSetDataset(ProblemDataset):
     def _problems(self, indices: Ints, epoch: int) -> Batch:
         del epoch  # the problems are the same in all epochs
         search = self.serving.search
-        grids = self.problem_set.grids[indices]  # a copy for this batch alone
+        stored_maps = self._stored_maps(indices)
+        grids = stored_maps.grids
         starts = self.problem_set.starts[indices]
         goals = self.problem_set.goals[indices]
 
         def compute_rooms() -> Rooms:
             seed_points = np.stack((starts, goals), axis=1)
-            return Rooms(room_matrices(search, grids, seed_points, self.movement), seed_points)
+            if search == "astar" and stored_maps.terrain is not None:
+                numbers, _, terrain = stored_maps
+                matrices = terrain_room_matrices(numbers, terrain, seed_points, self.movement)
+            else:
+                matrices = room_matrices(search, grids, seed_points, self.movement)
+            return Rooms(matrices, seed_points)
 
         return Batch(
             movement=self.movement,
@@ -130,9 +145,27 @@ class ProblemSetDataset(ProblemDataset):
             goals=goals,
             problems=indices,
             compute_rooms=compute_rooms,
+            compute_stored_maps=lambda: stored_maps,
+            symmetries=np.zeros(len(indices), np.int64),
             requested_fields=self._field_names,
             max_length=self.serving.max_length,
             compute_paths=(lambda: self._optimal_paths(indices)) if search == "astar" else None,
+            has_terrain=self.has_terrain,
+        )
+
+    def _stored_maps(self, indices: Ints) -> StoredMaps:
+        """Return copies of the maps of problems ``indices``, for one batch alone.
+
+        The number of a map is its index among the grids: 0 for a map that all problems share.
+        """
+        grids = self.problem_set.grids
+        terrain = self.problem_set.terrain
+        maps = grids if terrain is None else terrain
+        is_shared = maps.strides[0] == 0
+        return StoredMaps(
+            np.zeros_like(indices) if is_shared else indices,
+            grids[indices],
+            None if terrain is None else terrain[indices],
         )
 
     def _optimal_paths(self, indices: Ints) -> Paths:

@@ -1,8 +1,8 @@
 """The kernels of field_kernels.py for terrain: fields of a batch of maps whose cells have costs.
 
-Each of them returns, last, the number of the first map with a cost that is too high to be exact,
-and this doubled cost; both are the number of maps and 0 if all costs are exact. With a high cost,
-what has been filled is to be thrown away.
+All of them that search return, last, the number of the first map with a cost that is too high to be
+exact, and this doubled cost; both are the number of maps and 0 if all costs are exact. With a high
+cost, what has been filled is to be thrown away.
 """
 
 from __future__ import annotations
@@ -26,6 +26,27 @@ from mapdata.search.terrain import (
     shortest_terrain_costs,
     terrain_heuristic,
 )
+
+
+@kernel
+def sum_terrain_steps(terrains: Bytes, cells: Ints, offsets: Ints) -> Ints:
+    """Return the sums S and D (B, 2) of the doubled cost of each path, (-1, 0) for an empty one.
+
+    Args:
+        terrains: (B, H, W).
+        cells: (M, 2), the cells of all paths, one after another.
+        offsets: (B + 1,) where each path begins in there.
+    """
+    sums = np.zeros((len(terrains), 2), np.int64)
+    for b in range(len(terrains)):
+        if offsets[b + 1] == offsets[b]:
+            sums[b, 0] = -1
+        for k in range(offsets[b] + 1, offsets[b + 1]):
+            cost = np.int64(terrains[b, cells[k, 0], cells[k, 1]])
+            cost += np.int64(terrains[b, cells[k - 1, 0], cells[k - 1, 1]])
+            is_diagonal = cells[k, 0] != cells[k - 1, 0] and cells[k, 1] != cells[k - 1, 1]
+            sums[b, 1 if is_diagonal else 0] += cost
+    return sums
 
 
 @kernel

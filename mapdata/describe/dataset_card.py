@@ -28,6 +28,14 @@ from mapdata.shards.manifest import PROVENANCE, SPLIT_COUNTS, Manifest
 _SIZE_CATEGORIES = ("n<1K", "1K<n<10K", "10K<n<100K", "100K<n<1M", "1M<n<10M", "10M<n<100M")
 """Size categories of the Hugging Face Hub; their bounds are 10**3, 10**4, ... 10**7 rows."""
 
+TERRAIN_RULE = (
+    "each free cell has a cost from 1 to 255; a move costs the mean of its two cells times its "
+    "length"
+)
+
+_MAX_COST_ROWS = 32
+"""How many rows the table of costs of cells has, at most; more costs are put together in ranges."""
+
 _MAX_SOURCES = 10
 """How many sources of an imported dataset the card lists, at most."""
 
@@ -132,6 +140,7 @@ def sections(statistics: DatasetStatistics) -> list[Section]:
         *provenance,
         _splits_section(statistics),
         _shares_section(statistics),
+        *_terrain_sections(statistics),
         _distributions_section(statistics),
         _duplicates_section(statistics),
         _usage_section(statistics),
@@ -149,10 +158,17 @@ def _introduction(statistics: DatasetStatistics) -> str:
         for manifest in statistics.root.manifests
     ]
     distinct_sources = "; ".join(dict.fromkeys(sources))
-    text = (
+    content = (
         f"Occupancy grids with shortest paths by BFS and A* between consecutive {points} and the "
-        f"distances between all {points}: {distinct_sources} by mapdata {__version__}."
+        f"distances between all {points}"
     )
+    if statistics.root.has_terrain:
+        content = (
+            "Grid maps of terrain, whose free cells have costs, with paths of fewest moves by BFS "
+            f"and of least cost by A* between consecutive {points} and the costs between all "
+            f"{points}"
+        )
+    text = f"{content}: {distinct_sources} by mapdata {__version__}."
     if len(statistics) < statistics.root.maps:
         text += f" Not finished: {statistics.root.maps:,} maps were asked for."
     return text
@@ -179,7 +195,8 @@ def _manifest_facts(manifest: Manifest) -> dict[str, str]:
         "map size": f"{rows} rows x {columns} columns, {manifest.resolution:g} m per cell",
         "cells": "(row, col), origin upper left",
         "polarity": "1 occupied, 0 free",
-        "movement": movement_text(manifest.movement),
+        "terrain": TERRAIN_RULE if manifest.has_terrain else "",
+        "movement": movement_text(manifest.movement, manifest.has_terrain),
         "size on disk": f"{size / 1e6:,.2f} MB",
         "format": f"mapdata shards (HDF5), version {manifest.format_version}",
         "preset": _preset_name(manifest.generator),
@@ -277,19 +294,44 @@ def _shares_section(statistics: DatasetStatistics) -> Section:
     rows += [
         ("reachable segments", "segments", _share_text(reachable_count, segment_count)),
         ("fully connected maps", "maps", _share_text(connected_count, map_count)),
-        (
-            f"hard segments (hardness >= {HARD:g})",
-            "reachable segments",
-            _share_text(hard_count, reachable_count),
-        ),
     ]
-    text = (
-        "Hardness is the cost of the shortest path over the heuristic: 1 where walking straight "
-        "at the goal is best."
-    )
+    if statistics.root.has_terrain:
+        # Nearly all segments on terrain are hard in this sense, so their share says nothing.
+        text = (
+            "Hardness is the least cost of a path over the heuristic, which walks straight at the "
+            "goal over cells of the smallest cost of the map."
+        )
+    else:
+        share = _share_text(hard_count, reachable_count)
+        rows.append((f"hard segments (hardness >= {HARD:g})", "reachable segments", share))
+        text = (
+            "Hardness is the cost of the shortest path over the heuristic: 1 where walking "
+            "straight at the goal is best."
+        )
     if statistics.rooms_known:
         text += " Rooms can reach each other without a passage, where they overlap."
     return Section("Shares", text, table=rows)
+
+
+def _terrain_sections(statistics: DatasetStatistics) -> list[Section]:
+    """Return the section with the share of free cells of each cost; none without terrain."""
+    if statistics.cell_counts is None:
+        return []
+    free_counts = statistics.cell_counts[1:]
+    free_count = int(free_counts.sum())
+    costs = np.flatnonzero(free_counts) + 1
+    width = 1
+    if len(costs) > _MAX_COST_ROWS:
+        width = -(-256 // _MAX_COST_ROWS)
+    rows = [("cost of a cell", "free cells")]
+    for low in range(1, 256, width):
+        high = min(low + width - 1, 255)
+        cell_count = int(statistics.cell_counts[low : high + 1].sum())
+        if cell_count:
+            name = str(low) if width == 1 else f"{low} to {high}"
+            rows.append((name, _share_text(cell_count, free_count)))
+    text = f"Shares of the free cells of all maps. {TERRAIN_RULE.capitalize()}."
+    return [Section("Terrain", text, table=rows)]
 
 
 def _distributions_section(statistics: DatasetStatistics) -> Section:
@@ -347,10 +389,15 @@ def _usage_section(statistics: DatasetStatistics) -> Section:
     """Return the code that loads the dataset."""
     names = _folder_names(statistics)
     root = repr(names[0] if len(names) == 1 else names)
+    fields = ""
+    grid = "map"
+    if statistics.root.has_terrain:
+        fields = ', fields=("terrain", "start", "goal", "path")'
+        grid = "terrain"
     code = (
         "from mapdata import MapDataModule, MapDataset\n\n"
-        f'train = MapDataset({root}, split="train")\n'
-        "map, start, goal, path = train[0]\n"
+        f'train = MapDataset({root}, split="train"{fields})\n'
+        f"{grid}, start, goal, path = train[0]\n"
         f"loaders = MapDataModule({root})  # for pytorch-lightning"
     )
     return Section("Use it", code=code, language="python")
@@ -366,13 +413,14 @@ def _citation_request(statistics: DatasetStatistics) -> str:
     return " ".join(dict.fromkeys(requests))
 
 
-def movement_text(movement: Movement) -> str:
-    """Return the rule of movement in words."""
+def movement_text(movement: Movement, has_terrain: bool = False) -> str:
+    """Return the rule of movement in words; on terrain it states lengths instead of costs."""
+    unit = "of length" if has_terrain else "at cost"
     if movement.connectivity == 4:
-        return "4-connected: north, east, south, west, each at cost 1"
+        return f"4-connected: north, east, south, west, each {unit} 1"
     cost = "1" if movement.diagonal_cost == 1 else "sqrt 2"
     rule = "unrestricted" if movement.corner_cutting else "only beside two free cells"
-    return f"8-connected: straight steps at cost 1, diagonal steps at cost {cost}, {rule}"
+    return f"8-connected: straight steps {unit} 1, diagonal steps {unit} {cost}, {rule}"
 
 
 def _folder_names(statistics: DatasetStatistics) -> list[str]:

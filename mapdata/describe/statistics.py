@@ -16,6 +16,7 @@ from mapdata.limits import SPLITS
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels, label
 from mapdata.search.lattice import hardness
+from mapdata.search.terrain import costs_from_sums
 from mapdata.shards.locations import Locations
 from mapdata.shards.root import Root
 
@@ -59,9 +60,12 @@ class DatasetStatistics:
         redundant: (N,) bool, `all_connected` although a passage was not drawn.
         hardest: (N,) float64, largest hardness of the map's segments; 0 where none has a path.
         lengths: (S,) int64, cells of the A* path of each segment, 0 without a path.
+        costs: (S,) float64, optimal cost of each segment, -1 without a path.
         hardness: (S,) float64, optimal cost over heuristic, -1 without a path.
         iterations: of "bfs" and "astar", (S,) int64.
         rooms_known: whether the maps have rooms and passages, not only seed points.
+        cell_counts: (256,) int64, number of cells of each cost on terrain, that of the occupied
+            cells first; None for maps without terrain.
         digests: two arrays (N,) of 16 bytes: the hash of each map, and the smallest of the hashes
             of its symmetric images; None without ``repeats=True``.
     """
@@ -75,9 +79,11 @@ class DatasetStatistics:
     redundant: Flags
     hardest: Floats
     lengths: Ints
+    costs: Floats
     hardness: Floats
     iterations: dict[str, Ints]
     rooms_known: bool
+    cell_counts: Ints | None
     digests: tuple[Array, Array] | None
 
     def __repr__(self) -> str:
@@ -118,12 +124,15 @@ class DatasetStatistics:
         Segments without a path are left out.
         """
         has_path = self.lengths > 0
-        return {
+        samples = {
             f"{self.noun}s a map": self.rooms.astype(np.float64),
             "free share of a map": self.free,
             "path length of a segment, cells": self.lengths[has_path].astype(np.float64),
             "hardness of a segment": self.hardness[has_path],
         }
+        if self.cell_counts is not None:
+            samples["cost of a segment"] = self.costs[has_path]
+        return samples
 
 
 def dataset_statistics(
@@ -159,9 +168,11 @@ def dataset_statistics(
         redundant=columns["redundant"],
         hardest=columns["hardest"],
         lengths=columns["lengths"],
+        costs=columns["costs"],
         hardness=columns["hardness"],
         iterations={search: columns[search] for search in SEARCHES},
         rooms_known=bool(columns["rooms_known"].any()),
+        cell_counts=columns["cell_counts"].sum(axis=0) if opened.has_terrain else None,
         digests=(columns["exact"], columns["symmetric"]) if repeats else None,
     )
 
@@ -195,11 +206,17 @@ def _shard_columns(labels: Labels, hash_maps: bool) -> dict[str, Array]:
     is_passage = np.arange(maps.directions.shape[1]) < passages[:, None]
     starts = maps.seed_points[:, :-1][is_passage]
     goals = maps.seed_points[:, 1:][is_passage]
-    straight, diagonal = labels.astar.costs[maps.segment_pairs].T
-    costs = straight + diagonal * maps.movement.diagonal_cost
-    segment_hardness = hardness(costs, starts, goals, maps.movement)
-    max_hardness = np.zeros(len(maps))
     map_of_segment = np.repeat(np.arange(len(maps)), passages)
+    segment_costs = labels.astar.costs[maps.segment_pairs]
+    if maps.terrain is None:
+        straight, diagonal = segment_costs.T
+        costs = straight + diagonal * maps.movement.diagonal_cost
+        segment_hardness = hardness(costs, starts, goals, maps.movement)
+    else:
+        costs = costs_from_sums(segment_costs, maps.movement)
+        min_costs = np.where(maps.terrain == 0, 255, maps.terrain).min(axis=(1, 2))
+        segment_hardness = hardness(costs, starts, goals, maps.movement, min_costs[map_of_segment])
+    max_hardness = np.zeros(len(maps))
     np.maximum.at(max_hardness, map_of_segment, segment_hardness)
     rooms_known = (maps.sizes >= 0).any() or (maps.passage_width >= 0).any()
     lacks_passage = (~maps.connected & is_passage).any(axis=1)
@@ -211,6 +228,7 @@ def _shard_columns(labels: Labels, hash_maps: bool) -> dict[str, Array]:
         "redundant": labels.all_connected & lacks_passage & rooms_known,
         "hardest": max_hardness,
         "lengths": np.where(labels.reachable, np.diff(labels.astar.offsets) + 1, 0),
+        "costs": costs,
         "hardness": segment_hardness,
         "bfs": labels.bfs.iterations,
         "astar": labels.astar.iterations,
@@ -220,34 +238,51 @@ def _shard_columns(labels: Labels, hash_maps: bool) -> dict[str, Array]:
 
 
 def _grid_columns(maps: Maps, hash_maps: bool) -> dict[str, Array]:
-    """Return the free share and, with ``hash_maps``, the two digests of each map."""
+    """Return the free share of each map, its two digests with ``hash_maps``, and counts of cells.
+
+    "cell_counts" is an array (1, 256) with the number of cells of each cost; 0 without terrain.
+    """
     count, rows, _ = maps.packed.shape
     maps_at_once = max(1, _CELLS_AT_ONCE // (rows * maps.columns))
     free = []
     exact_digests = []
     symmetric_digests = []
-    for packed in np.split(maps.packed, range(maps_at_once, count, maps_at_once)):
-        grids = unpacked(packed, maps.columns)
+    cell_counts = np.zeros((1, 256), np.int64)
+    # Without maps there is one empty batch, so that there are shares to concatenate.
+    for first in range(0, max(count, 1), maps_at_once):
+        batch = slice(first, first + maps_at_once)
+        grids = unpacked(maps.packed[batch], maps.columns)
         free.append(1 - grids.mean(axis=(1, 2)))
+        if maps.terrain is not None:
+            terrain = maps.terrain[batch]
+            cell_counts[0] += np.bincount(terrain.reshape(-1), minlength=256)
         if hash_maps:
-            exact, symmetric = digests_of(grids)
+            if maps.terrain is None:
+                exact, symmetric = digests_of(grids)
+            else:
+                exact, symmetric = digests_of(terrain, is_terrain=True)
             exact_digests += exact
             symmetric_digests += symmetric
     return {
+        "cell_counts": cell_counts,
         "free": np.concatenate(free),
         "exact": np.array(exact_digests, _DIGEST_DTYPE),
         "symmetric": np.array(symmetric_digests, _DIGEST_DTYPE),
     }
 
 
-def digests_of(grids: Bytes) -> tuple[list[bytes], list[bytes]]:
+def digests_of(grids: Bytes, *, is_terrain: bool = False) -> tuple[list[bytes], list[bytes]]:
     """Return two hashes of each of N grids, (N, H, W).
+
+    Args:
+        grids: of 0 and 1, or terrain.
+        is_terrain: whether they are terrain.
 
     Returns:
         The hash of each grid, and the smallest of the hashes of its symmetric images, which is
         equal for grids that are equal up to symmetry.
     """
-    digests_of_images = [_hash_grids(image) for image in _symmetric_images(grids)]
+    digests_of_images = [_hash_grids(image, is_terrain) for image in _symmetric_images(grids)]
     exact = digests_of_images[0]
     symmetric = [min(digests) for digests in zip(*digests_of_images, strict=True)]
     return exact, symmetric
@@ -268,10 +303,10 @@ def _symmetric_images(grids: Bytes) -> list[Bytes]:
     return images
 
 
-def _hash_grids(grids: Bytes) -> list[bytes]:
-    """Return a hash of each of N grids, (N, H, W)."""
-    packed = np.packbits(grids, axis=2)
-    return [hashlib.blake2b(grid.tobytes(), digest_size=_DIGEST_BYTES).digest() for grid in packed]
+def _hash_grids(grids: Bytes, is_terrain: bool) -> list[bytes]:
+    """Return a hash of each of N grids, (N, H, W), of 0 and 1 or of terrain."""
+    hashed = grids if is_terrain else np.packbits(grids, axis=2)
+    return [hashlib.blake2b(grid.tobytes(), digest_size=_DIGEST_BYTES).digest() for grid in hashed]
 
 
 def count_repeats(digests: Array, split: Bytes) -> Repeats:

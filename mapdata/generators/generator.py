@@ -209,6 +209,7 @@ class UnknownFamily(MapGenerator):
         name: name of the family in JSON.
         map_size, resolution, movement, splits: as of every generator.
         parameters: the other parameters, as canonical JSON.
+        has_terrain: whether the maps have terrain, as the version of the dataset's format says.
 
     Raises:
         ValueError: parameters that no family can have.
@@ -216,6 +217,7 @@ class UnknownFamily(MapGenerator):
 
     name: str = ""  # type: ignore[misc]  # a field here, a class variable in other families
     parameters: str = "{}"
+    has_terrain: bool = False  # type: ignore[misc]  # a property of other families
 
     def __post_init__(self) -> None:
         """Check the parameters that can be checked without the family."""
@@ -262,10 +264,15 @@ class UnknownFamily(MapGenerator):
 
 
 @lru_cache(maxsize=16)  # All shards of a dataset state the same generator.
-def stored_generator(text: str) -> MapGenerator:
+def stored_generator(text: str, has_terrain: bool = False) -> MapGenerator:
     """Return the generator that the JSON of a shard or manifest states.
 
     It is an `UnknownFamily` if the family is not registered.
+
+    Args:
+        text: the JSON.
+        has_terrain: whether the maps have terrain. Of a family that is not registered, only the
+            version of the dataset's format says so.
 
     Raises:
         ValueError: not JSON, or parameters that no generator can have.
@@ -297,6 +304,7 @@ def _stored_generator(values: Any) -> MapGenerator:
     return UnknownFamily(
         name=name,
         parameters=canonical_json(parameters),
+        has_terrain=has_terrain,
         map_size=values["map_size"],
         resolution=values["resolution"],
         movement=_movement(values["movement"]),

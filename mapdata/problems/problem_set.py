@@ -24,11 +24,12 @@ from mapdata.hashing import canonical_json
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
 from mapdata.npy import MAX_BYTES, Npz
-from mapdata.problems.sampling import sample_problems
-from mapdata.problems.sources import Random
-from mapdata.search.api import BatchResult, search_batch
+from mapdata.problems.sampling import sample_problems, solve_pairs
+from mapdata.problems.sources import Random, Route, Source, SourceLike, problem_source
+from mapdata.problems.terrain_sampling import sample_terrain_problems, solve_terrain_pairs
+from mapdata.search.api import BatchResult, high_cost_complaint, search_batch
 from mapdata.search.footprint import inflate_all, min_squared_clearance
-from mapdata.search.lattice import HARD, hardness, move_rule
+from mapdata.search.lattice import ASTAR, HARD, hardness, move_rule
 from mapdata.shards.files import StrPath, write_output
 from mapdata.shards.locations import Locations
 from mapdata.shards.root import Root
@@ -44,8 +45,8 @@ _CHUNK_SIZE = 256
 _MAPS_PER_HARD_PROBLEM = 1000
 """Maps that are tried for each hard problem. Where hard problems are rarer, nobody would wait."""
 
-_ARRAYS = ("grids", "starts", "goals")
-"""Names of the arrays of a set, in the order in which they are hashed."""
+_DTYPES = {"grids": np.uint8, "starts": np.int64, "goals": np.int64, "terrain": np.uint8}
+"""Dtypes of the arrays of a set by name, in the order in which they are hashed."""
 
 _MAX_UNPACKED = 2**26
 """Bytes that the arrays of any saved set may unpack to: 16,000 maps of 64 x 64 cells."""
@@ -61,8 +62,8 @@ Sets that planners are compared on reach 10 to 160; files made to fill the memor
 class ProblemSet:
     """N problems that planners are compared on, each with a path.
 
-    The arrays are copied and cannot be written to. A grid that `numpy.broadcast_to` has given to
-    all problems is kept once.
+    The arrays are copied and cannot be written to. A grid or terrain that `numpy.broadcast_to` has
+    given to all problems is kept once.
 
     Attributes:
         grids: (N, H, W) uint8, 0 free and 1 occupied.
@@ -70,6 +71,8 @@ class ProblemSet:
         goals: (N, 2) int64, cells other than the starts.
         movement: the rule of moves under which the problems are solved.
         description: where the problems come from, in words.
+        terrain: (N, H, W) uint8, the cost of each cell as `mapdata.astar` takes it: 0 where
+            ``grids`` is 1, and 1 to 255 elsewhere; None if all free cells cost the same.
 
     Raises:
         ValueError: what `search_batch` refuses; a problem without a path, or whose start is its
@@ -81,18 +84,23 @@ class ProblemSet:
     goals: Ints
     movement: Movement
     description: str = "problems"
+    terrain: Bytes | None = None
 
     def __post_init__(self) -> None:
         """Solve the problems, so that bad ones are refused here, and copy the arrays."""
         if np.ndim(self.grids) != 3:  # `search_batch` accepts one grid, (H, W), for all problems
             raise ValueError(f"grids: got shape {np.shape(self.grids)}, expected (N, H, W)")
+        if self.terrain is not None and np.shape(self.terrain) != np.shape(self.grids):
+            raise ValueError(
+                f"terrain: got shape {np.shape(self.terrain)}, expected {np.shape(self.grids)}, "
+                "that of the grids"
+            )
         cost = self.optimal.cost
         for is_bad, fault in ((cost == -1, "has no path"), (cost == 0, "starts at its goal")):
             if is_bad.any():
                 raise ValueError(f"problem {int(np.argmax(is_bad))} {fault}: leave it out")
-        for name, dtype in zip(_ARRAYS, (np.uint8, np.int64, np.int64), strict=True):
-            original = getattr(self, name)
-            copy = np.array(_without_repeats(original), dtype, order="C")
+        for name, original in self._arrays().items():
+            copy = np.array(_without_repeats(original), _DTYPES[name], order="C")
             if copy.shape != np.shape(original):
                 copy = np.broadcast_to(copy, np.shape(original))
             copy.setflags(write=False)
@@ -105,30 +113,48 @@ class ProblemSet:
         return len(self.starts)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes that are pickled: a grid that all problems share is pickled once.
+        """Return the attributes that are pickled: a map that all problems share is pickled once.
 
         The solutions are among them, so that another process does not search again.
         """
-        return {**vars(self), "grids": _without_repeats(self.grids)}
+        arrays = self._arrays()
+        return {**vars(self), **{name: _without_repeats(arrays[name]) for name in arrays}}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over the pickled attributes, again as arrays that cannot be written to."""
         vars(self).update(state)
-        shape = (len(self), *self.grids.shape[-2:])
-        object.__setattr__(self, "grids", np.broadcast_to(self.grids, shape))
-        for name in ("starts", "goals"):
-            getattr(self, name).setflags(write=False)
+        for name, array in self._arrays().items():
+            array.setflags(write=False)
+            if name in ("grids", "terrain"):
+                repeated = np.broadcast_to(array, (len(self), *array.shape[-2:]))
+                object.__setattr__(self, name, repeated)
+
+    def _arrays(self) -> dict[str, Array]:
+        """Return the arrays of the set by name; terrain is among them if there is any."""
+        arrays = {name: getattr(self, name) for name in _DTYPES}
+        return {name: array for name, array in arrays.items() if array is not None}
 
     @cached_property
     def optimal(self) -> BatchResult:
         """The answers of mapdata's A*: the optimal costs, and the expansions to compare with."""
         grids = _without_repeats(self.grids)
-        return search_batch("astar", grids, self.starts, self.goals, self.movement)
+        terrain = self.terrain
+        if terrain is not None:
+            terrain = _without_repeats(terrain)
+            # A search takes one map or N maps, but not one grid and N terrains.
+            if terrain.ndim != grids.ndim:
+                grids = np.asarray(self.grids)
+                terrain = np.asarray(self.terrain)
+        return search_batch("astar", grids, self.starts, self.goals, self.movement, terrain=terrain)
 
     @cached_property
     def hardness(self) -> Floats:
-        """(N,) optimal cost over heuristic (the cost on an empty grid); 1 is the easiest."""
-        return hardness(self.optimal.cost, self.starts, self.goals, self.movement)
+        """(N,) optimal cost over heuristic (the cost on an empty grid); 1 is the easiest.
+
+        On terrain the empty grid has the smallest cost of a free cell everywhere, so that nearly
+        every problem is hard.
+        """
+        return _hardness(self.optimal.cost, self.starts, self.goals, self.terrain, self.movement)
 
     @cached_property
     def hard(self) -> Flags:
@@ -137,16 +163,16 @@ class ProblemSet:
 
     @cached_property
     def map_count(self) -> int:
-        """Number of different maps among the grids."""
-        grids = _without_repeats(self.grids).reshape(-1, *self.grids.shape[1:])
-        return len({hashlib.sha256(grid).digest() for grid in grids})
+        """Number of different maps among the grids, or terrains."""
+        maps = _without_repeats(self.grids if self.terrain is None else self.terrain)
+        maps = maps.reshape(-1, *self.grids.shape[1:])
+        return len({hashlib.sha256(grid).digest() for grid in maps})
 
     @cached_property
     def content_hash(self) -> str:
         """SHA-256 of the problems and the movement, as hex: equal sets have equal hashes."""
         digest = hashlib.sha256(canonical_json(asdict(self.movement)).encode())
-        for name in _ARRAYS:
-            array = getattr(self, name)
+        for name, array in self._arrays().items():
             digest.update(f"{name} {array.shape}".encode())
             little_endian = array.dtype.newbyteorder("<")
             # Row by row, since grids that share memory would each be copied otherwise.
@@ -158,12 +184,15 @@ class ProblemSet:
         """Write the problems to a compressed .npz; the same problems are the same bytes.
 
         It holds ``grids``, ``starts`` and ``goals`` as above, and ``about``: movement and
-        description as JSON. An existing file is replaced as a whole or not at all. A set that would
-        unpack to more than `load` allows is not compressed: a set of more than 1 GiB, or many large
-        and nearly empty maps.
+        description as JSON. A set with terrain holds ``terrain`` in place of ``grids``, which are 1
+        where it is 0. So versions of mapdata that do not know terrain refuse the file. An existing
+        file is replaced as a whole or not at all. A set that would unpack to more than `load`
+        allows is not compressed: a set of more than 1 GiB, or many large and nearly empty maps.
         """
         about = canonical_json({"movement": asdict(self.movement), "description": self.description})
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        arrays = self._arrays()
+        if "terrain" in arrays:
+            del arrays["grids"]
         archive = BytesIO()
         np.savez_compressed(archive, about=about, **arrays)
         unpacked_bytes = sum(array.nbytes for array in arrays.values())
@@ -190,7 +219,8 @@ class ProblemSet:
         try:
             archive = Npz(path, sys.maxsize)  # the size is checked below, with a clearer message
             about = json.loads(archive.text("about"))
-            stored = archive.arrays(*_ARRAYS)
+            has_terrain = "terrain" in archive.shapes
+            stored = archive.arrays("terrain" if has_terrain else "grids", "starts", "goals")
             _check_shapes([array.shape for array in stored])
             unpacked_bytes = sum(array.nbytes for array in stored)
             if unpacked_bytes > max_bytes:
@@ -199,13 +229,14 @@ class ProblemSet:
                     f"or {_MAX_RATIO} times the file up to 1 GiB. If you trust it, save its arrays "
                     "with numpy.savez, uncompressed"
                 )
-            grids, starts, goals = (array.read() for array in stored)
+            maps, starts, goals = (array.read() for array in stored)
             return ProblemSet(
-                grids,
+                maps == 0 if has_terrain else maps,
                 starts,
                 goals,
                 movement=Movement(**about["movement"]),
                 description=str(about["description"]),
+                terrain=maps if has_terrain else None,
             )
         except Exception as error:  # the readers of zip and JSON do not document what they raise
             reason = str(error).removeprefix(f"{path}: ")
@@ -218,7 +249,7 @@ class ProblemSet:
         maps: int | None = None,
         *,
         movement: Movement,
-        problems: Random = Random(distance=(10, None)),
+        problems: SourceLike = Random(distance=(10, None)),
         until_hard: int | None = None,
         radius: float = 0.0,
     ) -> ProblemSet:
@@ -227,11 +258,19 @@ class ProblemSet:
         The problem on a map is that of a dataset in epoch 0, wherever one of the dataset's 32 draws
         meets the conditions.
 
-        The goal is a uniform free cell, or the map's first seed point with
+        The goal of a random problem is a uniform free cell, or the map's first seed point with
         `Random.to_first_seed_point`; the start is a uniform one of the cells that reach it and are
         far enough. Where the problem does not meet all conditions, both are drawn anew, up to 1,000
         draws in all; then the map is left out. The problem on map i is a pure function of
         (generator, seed, i), of the conditions and of ``movement``.
+
+        With "route" or "pairs" the problem is a uniform one of the map's segments or pairs of seed
+        points, as `OnlineMapDataset` draws it; a map where none has a path is left out. The only
+        segment of the preset "tiles" leads from its upper left to its lower right corner.
+
+        On terrain, ``distance`` limits the cost of a path and ``length`` the number of its cells.
+        Choose problems by these two: nearly every problem on terrain is harder than ``HARD``, so
+        that ``hardness`` and ``until_hard`` say little.
 
         Args:
             recipe: which maps: a preset's name, a recipe file, its JSON text or mapping, a
@@ -241,17 +280,27 @@ class ProblemSet:
             maps: number of maps. By default the recipe's, 10,000 for a preset or generator; with
                 ``until_hard`` as many as it takes, up to 1,000 for each hard problem.
             movement: the rule of moves.
-            problems: the conditions on distance, hardness and length, and on the goal.
+            problems: a `Random`, with its conditions on distance, hardness and length, and on the
+                goal; or a `Route` or `Pairs`, or its name. As for `MapDataset`.
             until_hard: stop at the map that brings the number of hard problems to this.
-            radius: of the robot, in metres: maps are those of `mapdata.inflate` for ``radius /
-                resolution`` cells.
+            radius: of the robot, in metres: maps are those of `mapdata.inflate` (with terrain
+                `mapdata.inflate_terrain`) for ``radius / resolution`` cells.
 
         Raises:
-            ValueError: no recipe; no map with a problem; fewer hard problems than ``until_hard``.
+            ValueError: no recipe; no map with a problem; fewer hard problems than ``until_hard``;
+                problems without a path (``unsolvable=True``); terrain with costs that are too high
+                to be exact.
 
         >>> from mapdata import Movement
         >>> len(ProblemSet.sample("dungeon", seed=77, maps=20, movement=Movement(8)))
         20
+
+        From corner to corner:
+
+        >>> movement = Movement(8, corner_cutting=True, diagonal_cost=1)
+        >>> tiles = ProblemSet.sample("tiles", maps=5, movement=movement, problems="route")
+        >>> tiles.starts[0].tolist(), tiles.goals[0].tolist()
+        ([0, 0], [11, 11])
         """
         if maps is None and until_hard is not None:
             maps = _MAPS_PER_HARD_PROBLEM * check_count("until_hard", until_hard)
@@ -278,7 +327,7 @@ class ProblemSet:
         movement: Movement,
         split: str = "test",
         seed: int | None = None,
-        problems: Random = Random(distance=(10, None)),
+        problems: SourceLike = Random(distance=(10, None)),
         until_hard: int | None = None,
         radius: float = 0.0,
     ) -> ProblemSet:
@@ -290,15 +339,14 @@ class ProblemSet:
             movement: the rule of moves.
             split: "train", "val" or "test".
             seed: seed of the problems; that of the (first) dataset by default, 0 for imported maps.
-            problems: the conditions on the problems, as for `sample`.
+            problems: the source of the problems, as for `sample`.
             until_hard: stop at the map that brings the number of hard problems to this.
             radius: of the robot, in metres, as for `sample`.
 
         Raises:
             DatasetNotFoundError: there is no dataset under ``root``.
             ShardError: it is damaged.
-            ValueError: no such split; no map with a problem; fewer hard problems than
-                ``until_hard``.
+            ValueError: no such split; what `sample` refuses.
         """
         check_choice("split", split, SPLITS)
         dataset = Root.open(root)
@@ -322,7 +370,7 @@ class ProblemSet:
 
 
 def _without_repeats(arrays: Array) -> Array:
-    """Return the first grid, (H, W), if all grids, (N, H, W), share its memory; else the grids."""
+    """Return the first map, (H, W), if all maps, (N, H, W), share its memory; else the maps."""
     arrays = np.asarray(arrays)
     is_repeated = len(arrays) > 0 and arrays.strides[0] == 0
     return arrays[0] if is_repeated else arrays
@@ -356,16 +404,26 @@ class _MapBatch(NamedTuple):
     Attributes:
         indices: (B,) int64, number of each map.
         grids: (B, H, W) uint8.
-        first_seed_points: (B, 2) int64, a cell of each map.
+        terrain: (B, H, W) uint8, or None.
+        seed_points: (B, R, 2) int64.
+        seed_point_counts: (B,) int64, number of seed points of each map.
     """
 
     indices: Ints
     grids: Bytes
-    first_seed_points: Ints
+    terrain: Bytes | None
+    seed_points: Ints
+    seed_point_counts: Ints
 
-    def first(self, count: int) -> _MapBatch:
-        """Return the first ``count`` maps, or all if there are fewer."""
-        return _MapBatch(self.indices[:count], self.grids[:count], self.first_seed_points[:count])
+    def select(self, rows: Flags | slice) -> _MapBatch:
+        """Return the maps that ``rows`` selects."""
+        return _MapBatch(
+            self.indices[rows],
+            self.grids[rows],
+            None if self.terrain is None else self.terrain[rows],
+            self.seed_points[rows],
+            self.seed_point_counts[rows],
+        )
 
 
 class _SampledProblems(NamedTuple):
@@ -374,32 +432,39 @@ class _SampledProblems(NamedTuple):
     Attributes:
         indices: (M,) int64, number of the map of each problem.
         grids: (M, H, W) uint8.
+        terrain: (M, H, W) uint8, or None.
         starts: (M, 2) int64.
         goals: (M, 2) int64.
     """
 
     indices: Ints
     grids: Bytes
+    terrain: Bytes | None
     starts: Ints
     goals: Ints
 
     def first(self, count: int) -> _SampledProblems:
         """Return the first ``count`` problems, or all if there are fewer."""
         return _SampledProblems(
-            self.indices[:count], self.grids[:count], self.starts[:count], self.goals[:count]
+            self.indices[:count],
+            self.grids[:count],
+            None if self.terrain is None else self.terrain[:count],
+            self.starts[:count],
+            self.goals[:count],
         )
 
 
 def _map_batch(maps: Maps, rows: Flags | slice) -> _MapBatch:
     """Return the maps that ``rows`` selects."""
-    return _MapBatch(maps.index[rows], maps.occupancy[rows], maps.seed_points[rows][:, 0])
+    batch = _MapBatch(maps.index, maps.occupancy, maps.terrain, maps.seed_points, maps.rooms)
+    return batch.select(rows)
 
 
 def _first_maps(batches: Iterable[_MapBatch], max_maps: int) -> Iterator[_MapBatch]:
     """Yield batches that together hold the first ``max_maps`` maps of ``batches``."""
     remaining = max_maps
     for batch in batches:
-        yield batch.first(remaining)
+        yield batch.select(slice(remaining))
         remaining -= min(len(batch.indices), remaining)
         if remaining == 0:
             return
@@ -408,7 +473,7 @@ def _first_maps(batches: Iterable[_MapBatch], max_maps: int) -> Iterator[_MapBat
 def _sample_until(
     batches: Iterable[_MapBatch],
     *,
-    problems: Random,
+    problems: SourceLike,
     until_hard: int | None,
     seed: int,
     movement: Movement,
@@ -421,8 +486,12 @@ def _sample_until(
     on cells are free, in the unit of `min_squared_clearance`; and ``source``, which says where the
     maps come from in the description and in errors.
     """
-    if not isinstance(problems, Random):
-        raise ValueError(f"problems: got {problems!r}, expected mapdata.Random(...)")
+    problems = problem_source(problems)
+    if problems.unsolvable:
+        raise ValueError(
+            f"problems: got {problems!r}, expected unsolvable=False: a set holds problems that "
+            "have a path"
+        )
     if until_hard is not None:
         check_count("until_hard", until_hard)
     parts = []
@@ -452,11 +521,26 @@ def _sample_until(
         np.concatenate([part.goals for part in parts]),
         movement,
         description,
+        _joined_terrain([part.terrain for part in parts], source),
     )
 
 
+def _joined_terrain(terrains: Sequence[Bytes | None], source: str) -> Bytes | None:
+    """Return the terrain of all parts, (N, H, W), or None if none of them has terrain.
+
+    Raises:
+        ValueError: only some of them have terrain.
+    """
+    parts_with_terrain = [terrain for terrain in terrains if terrain is not None]
+    if not parts_with_terrain:
+        return None
+    if len(parts_with_terrain) < len(terrains):
+        raise ValueError(f"{source}: only some of the maps have terrain, expected all or none")
+    return np.concatenate(parts_with_terrain)
+
+
 def _sample_on(
-    batch: _MapBatch, problems: Random, seed: int, movement: Movement, min_clearance: int
+    batch: _MapBatch, problems: Source, seed: int, movement: Movement, min_clearance: int
 ) -> _SampledProblems:
     """Sample a problem on each map; maps without a problem that meets the conditions are left out.
 
@@ -465,9 +549,28 @@ def _sample_on(
     # Every free cell has a clearance of 1, and the kernel takes seconds to compile.
     if min_clearance > 1:
         inflate_all(batch.grids, min_clearance)
-    ends, *_ = sample_problems(
-        batch.grids,
-        batch.first_seed_points if problems.to_first_seed_point else None,
+        if batch.terrain is not None:
+            inflated = np.where(batch.grids == 1, np.uint8(0), batch.terrain)
+            batch = batch._replace(terrain=inflated)
+    if isinstance(problems, Random):
+        ends = _sample_random(batch, problems, seed, movement)
+    else:
+        batch = batch.select(batch.seed_point_counts >= 2)  # the maps that have a pair
+        ends = _sample_pairs(batch, isinstance(problems, Route), seed, movement)
+    has_problem = ends[:, 0] >= 0
+    return _SampledProblems(
+        batch.indices[has_problem],
+        batch.grids[has_problem],
+        None if batch.terrain is None else batch.terrain[has_problem],
+        starts=ends[has_problem, :2],
+        goals=ends[has_problem, 2:],
+    )
+
+
+def _sample_random(batch: _MapBatch, problems: Random, seed: int, movement: Movement) -> Ints:
+    """Return the start and goal of a random problem on each map, (B, 4), -1 where there is none."""
+    arguments = (
+        batch.seed_points[:, 0] if problems.to_first_seed_point else None,
         np.uint64(seed),
         0,  # epoch
         batch.indices,
@@ -475,13 +578,45 @@ def _sample_on(
         *problems.conditions,
         move_rule(movement),
     )
-    has_problem = ends[:, 0] >= 0
-    return _SampledProblems(
-        batch.indices[has_problem],
-        batch.grids[has_problem],
-        starts=ends[has_problem, :2],
-        goals=ends[has_problem, 2:],
+    if batch.terrain is None:
+        ends, *_ = sample_problems(batch.grids, *arguments)
+        return ends
+    ends, _, _, _, failed, high_cost = sample_terrain_problems(batch.terrain, *arguments)
+    _check_costs(batch, failed, high_cost)
+    return ends
+
+
+def _sample_pairs(batch: _MapBatch, only_route: bool, seed: int, movement: Movement) -> Ints:
+    """Return the cells of a pair of seed points of each map, (B, 4), -1 where none has a path.
+
+    With ``only_route`` the pairs are those of consecutive seed points.
+    """
+    seed_points = (batch.seed_points, batch.seed_point_counts)
+    draws = (np.uint64(seed), 0, batch.indices)  # 0 is the epoch
+    keep_unsolvable = False
+    rule = move_rule(movement)
+    if batch.terrain is None:
+        ends, *_ = solve_pairs(
+            batch.grids, *seed_points, *draws, only_route, keep_unsolvable, ASTAR, rule
+        )
+        return ends
+    ends, _, _, _, failed, high_cost = solve_terrain_pairs(
+        batch.terrain, *seed_points, *draws, only_route, keep_unsolvable, rule
     )
+    _check_costs(batch, failed, high_cost)
+    return ends
+
+
+def _check_costs(batch: _MapBatch, failed: int, high_cost: int) -> None:
+    """Refuse terrain on which a search met a cost that is too high to be exact.
+
+    Args:
+        batch: the maps.
+        failed: row of the first such map.
+        high_cost: the doubled cost; 0 if all costs are exact.
+    """
+    if high_cost:
+        raise ValueError(f"map {batch.indices[failed]}: {high_cost_complaint(high_cost)}")
 
 
 def _until_hard(
@@ -491,9 +626,20 @@ def _until_hard(
 
     All problems are returned if fewer of them are hard.
     """
-    _, grids, starts, goals = sampled
-    cost = search_batch("astar", grids, starts, goals, movement).cost
-    is_hard = hardness(cost, starts, goals, movement) >= HARD
+    _, grids, terrain, starts, goals = sampled
+    cost = search_batch("astar", grids, starts, goals, movement, terrain=terrain).cost
+    is_hard = _hardness(cost, starts, goals, terrain, movement) >= HARD
     hard_rows = np.flatnonzero(is_hard)[:max_hard]
     row_count = hard_rows[-1] + 1 if len(hard_rows) == max_hard else len(is_hard)
     return sampled.first(row_count), len(hard_rows)
+
+
+def _hardness(
+    costs: Floats, starts: Ints, goals: Ints, terrain: Bytes | None, movement: Movement
+) -> Floats:
+    """Return the hardness (N,) of problems on ``terrain``, (N, H, W), or on maps without it."""
+    if terrain is None:
+        return hardness(costs, starts, goals, movement)
+    distinct_terrain = _without_repeats(terrain)
+    min_costs = distinct_terrain.min(axis=(-2, -1), where=distinct_terrain > 0, initial=255)
+    return hardness(costs, starts, goals, movement, min_costs)

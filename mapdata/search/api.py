@@ -331,13 +331,37 @@ def _costs_of_moves(moves: Ints, movement: Movement) -> Floats:
     return np.where(straight < 0, -1.0, straight + diagonal * movement.diagonal_cost)
 
 
-def _solve_on_terrain(
+def search_terrains(
     terrains: Bytes, starts: Ints, goals: Ints, movement: Movement, allow_occupied_ends: bool
-) -> BatchResult:
-    """Solve checked problems by A* on ``terrains``, (B, H, W) or (1, H, W)."""
+) -> tuple[BatchResult, int, int]:
+    """Solve problems by A* on terrain that is known to fit its grids.
+
+    Args:
+        terrains: (B, H, W), or (1, H, W) for terrain that all problems share.
+        starts: (B, 2) cells.
+        goals: (B, 2) cells.
+        movement: which moves are legal.
+        allow_occupied_ends: whether a start or goal may be occupied, as in `solve_batch`.
+
+    Returns:
+        The paths; the number of problems that are solved, less than B if the next one is refused;
+        and why it is refused: 0 if an end is outside or occupied, otherwise the doubled cost that
+        is too high to be exact.
+    """
     rule = move_rule(movement)
     cells, sums, expansions, offsets, solved, high_cost = solve_on_terrain(
         terrains, starts, goals, int(allow_occupied_ends), rule, _scratch_memory(terrains, rule)
+    )
+    paths = BatchResult(cells, offsets, costs_from_sums(sums, movement), expansions)
+    return paths, solved, high_cost
+
+
+def _solve_on_terrain(
+    terrains: Bytes, starts: Ints, goals: Ints, movement: Movement, allow_occupied_ends: bool
+) -> BatchResult:
+    """Solve problems as `search_terrains` does, and refuse those that are not solved."""
+    paths, solved, high_cost = search_terrains(
+        terrains, starts, goals, movement, allow_occupied_ends
     )
     if solved < len(starts):
         if high_cost:
@@ -345,7 +369,7 @@ def _solve_on_terrain(
         grid = (terrains[min(solved, len(terrains) - 1)] == 0).astype(np.uint8)
         complaint = _problem_complaint(grid, starts[solved], goals[solved])
         raise ValueError(f"problem {solved}: {complaint}")
-    return BatchResult(cells, offsets, costs_from_sums(sums, movement), expansions)
+    return paths
 
 
 def distance_field(

@@ -90,7 +90,58 @@ DATASETS = (
         "astar_diagonal", "<i4", 1, "diagonal moves of A*, a pair", "moves", _DIAGONAL_ENCODING
     ),
 )
-"""All datasets of a shard, in the order of the file. ``bfs_straight`` counts all moves of BFS."""
+"""All datasets of a shard of maps without terrain, in the order of the file.
+
+``bfs_straight`` counts all moves of BFS.
+"""
+
+_HALF_UNITS = "half units: a move counts the sum of the costs of its two cells"
+
+_STRAIGHT_ON_TERRAIN = StoredDataset(
+    "astar_straight",
+    "<i4",
+    1,
+    "sum S over the straight moves of A*; over all moves where diagonals cost 1",
+    _HALF_UNITS,
+    f"{_PAIR_ORDER}; -1 no path",
+)
+
+_DIAGONAL_ON_TERRAIN = StoredDataset(
+    "astar_diagonal",
+    "<i4",
+    1,
+    "sum D over the diagonal moves of A*, a pair: the cost of a path is (S + D * sqrt(2)) / 2",
+    _HALF_UNITS,
+    f"{_DIAGONAL_ENCODING}; 0 where diagonals cost 1",
+)
+
+_TERRAIN = StoredDataset(
+    "terrain", "u1", 3, "cost of each cell", "1 to 255 free, 0 occupied", "plain"
+)
+
+
+def _on_terrain(datasets: tuple[StoredDataset, ...]) -> tuple[StoredDataset, ...]:
+    """Return the datasets of a shard of maps with terrain, given those of one without it."""
+    replaced = {"astar_straight": _STRAIGHT_ON_TERRAIN, "astar_diagonal": _DIAGONAL_ON_TERRAIN}
+    maps, *labels = datasets
+    return maps, _TERRAIN, *(replaced.get(stored.name, stored) for stored in labels)
+
+
+TERRAIN_DATASETS = _on_terrain(DATASETS)
+"""All datasets of a shard of maps with terrain, in the order of the file."""
+
+
+def datasets_of(has_terrain: bool) -> tuple[StoredDataset, ...]:
+    """Return all datasets of a shard whose maps have terrain or not, in the order of the file."""
+    return TERRAIN_DATASETS if has_terrain else DATASETS
+
+
+MAX_STORED_COST = 2**31 - 1
+"""Largest cost of a pair, in half units, that a shard can hold.
+
+Only paths of millions of cells with costs near 255 cost more, and only where diagonals cost 1 or do
+not exist: elsewhere `label` refuses costs from 2**21 half units on.
+"""
 
 
 class Shard(NamedTuple):
@@ -100,7 +151,7 @@ class Shard(NamedTuple):
         path: the file.
         header: which maps the shard holds.
         content_hash: of its maps and labels, as the file states it.
-        arrays: the arrays of `DATASETS` by name, views of a memory mapping of the file.
+        arrays: the arrays of `datasets_of` its maps by name, views of a memory mapping of the file.
     """
 
     path: Path
@@ -113,8 +164,13 @@ class Shard(NamedTuple):
 
 
 def encode(labels: Labels) -> dict[str, Array]:
-    """Return labelled maps as the arrays of a shard."""
+    """Return labelled maps as the arrays of a shard.
+
+    Raises:
+        ValueError: a path on terrain costs more than a shard can hold; the message names the map.
+    """
     maps = labels.maps
+    _check_costs(labels)
     # The rows of a map are padded to the largest number of rooms; a file has no padding.
     max_rooms = maps.seed_points.shape[1]
     is_room = np.arange(max_rooms) < maps.rooms[:, None]
@@ -142,7 +198,22 @@ def encode(labels: Labels) -> dict[str, Array]:
     if maps.movement.connectivity == 4:
         diagonal_moves = np.empty(0, diagonal_moves.dtype)
     arrays["astar_diagonal"] = diagonal_moves
+    if maps.terrain is not None:
+        arrays["terrain"] = maps.terrain
     return arrays
+
+
+def _check_costs(labels: Labels) -> None:
+    """Refuse labels with a cost that does not fit the int32 of a shard."""
+    is_high = (labels.astar.costs > MAX_STORED_COST).any(axis=1)
+    if is_high.any():
+        pair = int(is_high.argmax())
+        k = int(np.searchsorted(labels.maps.pair_offsets, pair, side="right")) - 1
+        cost = labels.astar.costs[pair].max() / 2
+        raise ValueError(
+            f"map {labels.maps.index[k]}: terrain: a path costs {cost:,.0f}, and a shard holds "
+            f"costs up to {MAX_STORED_COST // 2:,}: divide the terrain by a number"
+        )
 
 
 def decode(shard: Shard) -> Labels:
@@ -165,6 +236,7 @@ def decode(shard: Shard) -> Labels:
         sizes=_padded(arrays["sizes"], is_room),
         directions=_padded(arrays["directions"], is_passage),
         split=np.array(arrays["split"]),
+        terrain=np.array(arrays["terrain"]) if header.has_terrain else None,
     )
     return Labels(maps, _search_labels(shard, "bfs"), _search_labels(shard, "astar"))
 

@@ -423,6 +423,7 @@ def _check_unlisted_shards(root: Path, planned: Manifest) -> None:
             planned,
             generator=header.generator,
             seed=header.seed,
+            has_terrain=header.has_terrain,
             maps=header.stop,
             shard_size=planned.shard_size if fits_plan else max_maps,
         )

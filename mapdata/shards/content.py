@@ -40,15 +40,17 @@ def _pack_records(labels: Labels) -> tuple[Bytes, Ints]:
 
     A record consists of words (int32) and bytes: a header; seed point and size of each room;
     directions of each passage; for either search, length and iterations of each segment and the
-    cost of each pair of rooms; the cells of the map; the moves of all segments by either search;
-    and zeros up to a whole number of words.
+    cost of each pair of rooms; the cells of the map; the terrain, if it has any; the moves of all
+    segments by either search; and zeros up to a whole number of words.
     """
     maps = labels.maps
     rooms = maps.rooms
     passages = rooms - 1
     pairs = np.diff(maps.pair_offsets)
     count, rows, words_per_row = maps.packed.shape
-    cells = maps.packed.view(np.uint8).reshape(count, rows * words_per_row * 8)
+    grids = [maps.packed.view(np.uint8).reshape(count, rows * words_per_row * 8)]
+    if maps.terrain is not None:
+        grids.append(maps.terrain.reshape(count, rows * maps.columns))
     header_columns = np.broadcast_arrays(
         rows,
         maps.columns,
@@ -66,8 +68,9 @@ def _pack_records(labels: Labels) -> tuple[Bytes, Ints]:
     word_counts = header_words + room_words + 2 * search_words
     # Moves of both searches together, since the offsets of both add up.
     move_counts = np.diff((labels.bfs.offsets + labels.astar.offsets)[maps.segment_offsets])
-    padded_move_counts = (move_counts + 3) // 4 * 4
-    offsets = offsets_of(4 * word_counts + cells.shape[1] + padded_move_counts)
+    byte_counts = sum(cells.shape[1] for cells in grids) + move_counts
+    padded_byte_counts = (byte_counts + 3) // 4 * 4
+    offsets = offsets_of(4 * word_counts + padded_byte_counts)
 
     records = np.zeros(offsets[-1], np.uint8)
     words = records.view(np.int32)
@@ -90,8 +93,9 @@ def _pack_records(labels: Labels) -> tuple[Bytes, Ints]:
         ):
             _copy_runs(number_pairs.reshape(-1), bounds[:-1], bounds[1:], words, position)
     position *= 4  # from here on, index in ``records`` of the next byte of each record
-    start = np.arange(count) * cells.shape[1]
-    _copy_runs(cells.reshape(-1), start, start + cells.shape[1], records, position)
+    for cells in grids:
+        start = np.arange(count) * cells.shape[1]
+        _copy_runs(cells.reshape(-1), start, start + cells.shape[1], records, position)
     for search in (labels.bfs, labels.astar):
         bounds = search.offsets[maps.segment_offsets]
         _copy_runs(search.moves, bounds[:-1], bounds[1:], records, position)

@@ -38,7 +38,7 @@ from mapdata.shards.manifest import (
     provenance_text,
 )
 from mapdata.shards.merging import checked_entry, is_known, load_shard, merge, union
-from mapdata.shards.reader import map_shard, sound_labels
+from mapdata.shards.reader import check_terrain, map_shard, sound_labels
 from mapdata.shards.workers import bar, completed, thread_pool
 
 _NOT_OURS = "no file of this dataset: keep it elsewhere"
@@ -495,6 +495,10 @@ def _shard_fault(location: str, manifest: Manifest, entry: Entry) -> str | None:
     labels = decode(shard)
     if not content_hash(labels) == shard.content_hash == entry.content_hash:
         return "damaged (its content hash does not fit)"
+    try:
+        check_terrain(labels.maps, str(path))
+    except ShardError as error:
+        return str(error)
     if counts_of(labels) != entry.counts:
         return "the manifest counts other problems than it holds"
     return None

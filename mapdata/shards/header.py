@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from mapdata._version import __version__
 from mapdata.generators.generator import MapGenerator, identity
 from mapdata.hashing import canonical_json
-from mapdata.limits import FORMAT_VERSIONS, Size, min_version
+from mapdata.limits import FORMAT_VERSIONS, TERRAIN_VERSION, Size, min_version
 from mapdata.movement import Movement
 from mapdata.shards.errors import ShardError
 
@@ -62,6 +62,8 @@ class Origin:
         map_size: (rows, columns).
         movement: rule of movement of the stored paths.
         resolution: metres per cell.
+        has_terrain: whether the maps have terrain, as an argument for imported maps. For drawn maps
+            it is always the property of the generator.
     """
 
     generator: MapGenerator | None
@@ -69,6 +71,12 @@ class Origin:
     map_size: Size
     movement: Movement
     resolution: float
+    has_terrain: bool = field(default=False, kw_only=True)
+
+    def __post_init__(self) -> None:
+        """Take from the generator, if there is one, whether the maps have terrain."""
+        if self.generator is not None:
+            object.__setattr__(self, "has_terrain", self.generator.has_terrain)
 
     @property
     def identity(self) -> str | None:
@@ -80,6 +88,8 @@ class Origin:
     @property
     def format_version(self) -> int:
         """The version of the format that the dataset is written in."""
+        if self.has_terrain:
+            return TERRAIN_VERSION
         if self.generator is None:
             return min_version(self.map_size)
         return self.generator.format_version
@@ -174,7 +184,15 @@ class Header(MapRange, Origin):
     @property
     def _properties(self) -> tuple[object, ...]:
         """All attributes but the generator."""
-        return self.seed, self.map_size, self.movement, self.resolution, self.start, self.stop
+        return (
+            self.seed,
+            self.map_size,
+            self.movement,
+            self.resolution,
+            self.has_terrain,
+            self.start,
+            self.stop,
+        )
 
 
 def shard_attributes(header: Header, content_hash: str) -> dict[str, Any]:

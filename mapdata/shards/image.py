@@ -9,8 +9,9 @@ import h5py
 import numpy as np
 
 from mapdata.arrays import Array
+from mapdata.limits import TERRAIN_VERSION
 from mapdata.search.labels import Labels
-from mapdata.shards.arrays import DATASETS, encode
+from mapdata.shards.arrays import TERRAIN_DATASETS, datasets_of, encode
 from mapdata.shards.content import content_hash
 from mapdata.shards.errors import REPAIRS, ShardError
 from mapdata.shards.hdf5 import (
@@ -34,13 +35,21 @@ def shard_image(labels: Labels, header: Header) -> tuple[bytes, str]:
 
     Raises:
         ShardError: reading the bytes that HDF5 wrote gives other attributes or arrays.
+        ValueError: the header says that the maps have terrain, and they have none, or the reverse;
+            a path on terrain costs more than a shard can hold.
     """
-    content = content_hash(labels)
-    attributes = shard_attributes(header, content)
+    if header.has_terrain != (labels.maps.terrain is not None):
+        raise ValueError(
+            f"has_terrain: got {header.has_terrain} for maps "
+            f"{'without' if labels.maps.terrain is None else 'with'} terrain"
+        )
+    datasets = datasets_of(header.has_terrain)
     encoded = encode(labels)
     arrays = {
-        stored.name: np.ascontiguousarray(encoded[stored.name], stored.dtype) for stored in DATASETS
+        stored.name: np.ascontiguousarray(encoded[stored.name], stored.dtype) for stored in datasets
     }
+    content = content_hash(labels)
+    attributes = shard_attributes(header, content)
     # HDF5 can keep files in memory itself, but before version 2.0 it returned their bytes with
     # outdated checksums.
     buffer = io.BytesIO()
@@ -55,7 +64,7 @@ def shard_image(labels: Labels, header: Header) -> tuple[bytes, str]:
     ) as file:
         for name, value in attributes.items():
             _write_attribute(file, name, value)
-        for stored in DATASETS:
+        for stored in datasets:
             dataset = file.create_dataset(stored.name, data=arrays[stored.name], track_order=False)
             for name in ("description", "units", "encoding"):
                 _write_attribute(dataset, name, getattr(stored, name))
@@ -98,7 +107,8 @@ def read_image(image: memoryview) -> tuple[dict[str, Any], dict[str, Array]]:
     """Return the root attributes and the arrays in the bytes of a shard file.
 
     Raises:
-        ShardError: a dataset is missing or not contiguous, or another HDF5 program wrote the file.
+        ShardError: a dataset is missing, not contiguous or of another version of the format; or
+            another HDF5 program wrote the file.
         ValueError: the bytes are not those of a shard.
     """
     try:
@@ -108,7 +118,12 @@ def read_image(image: memoryview) -> tuple[dict[str, Any], dict[str, Array]]:
             raise ShardError(foreign_file_message(image, str(error))) from None
         raise
     arrays = {}
-    for stored in DATASETS:
+    version = attributes.get("format_version")
+    has_terrain = version == TERRAIN_VERSION
+    if "terrain" in addresses and not has_terrain:
+        # Without this, costs of terrain would be read as numbers of moves.
+        raise ShardError(f"format version {version}, but it has a dataset 'terrain' of version 3")
+    for stored in datasets_of(has_terrain):
         name = stored.name
         if name not in addresses:
             raise ShardError(f"dataset {name!r} is missing, or is a link to somewhere else")
@@ -151,7 +166,7 @@ def is_undamaged(image: memoryview) -> bool:
     checked.
     """
     try:
-        check_metadata(image, [stored.name for stored in DATASETS])
+        check_metadata(image, [stored.name for stored in TERRAIN_DATASETS])
     except ChecksumError:
         return False
     except ValueError:  # The file differs from a shard, but everything before that is sound.
@@ -162,8 +177,8 @@ def is_undamaged(image: memoryview) -> bool:
 def is_as_written(image: memoryview) -> bool:
     """Return whether a file has exactly the datasets and attributes of a shard."""
     try:
-        read_image(image)
-        return member_counts(image) == (len(ATTRIBUTES), len(DATASETS))
+        _, arrays = read_image(image)
+        return member_counts(image) == (len(ATTRIBUTES), len(arrays))
     except ValueError:
         return False
 

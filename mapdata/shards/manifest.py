@@ -17,7 +17,7 @@ from mapdata.arrays import Flags, Ints
 from mapdata.checks import check_count, check_integers, check_number, check_seed
 from mapdata.generators.generator import UnknownFamily, stored_generator
 from mapdata.hashing import is_sha256_hex, json_hash, sha256_hex
-from mapdata.limits import SPLITS
+from mapdata.limits import SPLITS, TERRAIN_VERSION
 from mapdata.movement import Movement
 from mapdata.search.labels import Labels
 from mapdata.shards.content import combine
@@ -83,6 +83,7 @@ class Manifest(Origin):
 
     def __post_init__(self) -> None:
         """Refuse a dataset with too many files."""
+        super().__post_init__()
         if self.maps > MAX_SHARDS * self.shard_size:
             raise ValueError(
                 f"maps: {self.maps} in shards of {self.shard_size} are over {MAX_SHARDS} files; "
@@ -240,15 +241,17 @@ def parse_manifest(text: str | bytes, path: str) -> Manifest:
         check_version(stored["format_version"], f"{path}: ")
         if stored.pop("manifest_hash") != json_hash(stored):
             raise ShardError(f"{path}: damaged (its hash does not fit)")
-        generator = stored["spec"]
+        spec = stored["spec"]
+        has_terrain = stored["format_version"] == TERRAIN_VERSION
         manifest = Manifest(
-            generator=None if generator is None else stored_generator(json.dumps(generator)),
+            generator=None if spec is None else stored_generator(json.dumps(spec), has_terrain),
             seed=None if stored["seed"] is None else check_seed(stored["seed"]),
             maps=check_count("maps", stored["maps"]),
             shard_size=check_count("shard_size", stored["shard_size"]),
             map_size=check_integers("map_size", stored["map_size"]),
             movement=Movement(**stored["movement"]),
             resolution=check_number("resolution", stored["resolution"]),
+            has_terrain=has_terrain,
             shards=tuple(_parse_entry(entry, path) for entry in stored["shards"]),
         )
         _check_order(manifest, path)
@@ -337,7 +340,8 @@ def counts_of(labels: Labels) -> dict[str, Any]:
         "all_connected": int(labels.all_connected.sum()),
         "most_rooms": int(maps.rooms.max(initial=0)),
     }
-    pair_costs = labels.astar.costs  # (P, 2): straight and diagonal moves; -1, 0 without a path
+    # (P, 2): straight and diagonal moves, or their costs on terrain; -1, 0 without a path
+    pair_costs = labels.astar.costs
     routes = _Problems(
         per_map=passages, has_path=labels.reachable, moves=np.diff(labels.astar.offsets)
     )

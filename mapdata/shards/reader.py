@@ -20,11 +20,12 @@ from weakref import finalize
 
 import numpy as np
 
-from mapdata.arrays import Array, Bytes
+from mapdata.arrays import Array, Bytes, Flags, Ints
 from mapdata.checks import check_integers
 from mapdata.generators.generator import stored_generator
-from mapdata.generators.maps import WORD
+from mapdata.generators.maps import WORD, Maps, pack
 from mapdata.hashing import is_sha256_hex, sha256_hex
+from mapdata.limits import TERRAIN_VERSION
 from mapdata.movement import Movement
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
@@ -189,8 +190,27 @@ def sound_labels(shard: Shard) -> Labels:
     with suppress(*UNSOUND):
         labels = decode(shard)
         if content_hash(labels) == shard.content_hash:
+            check_terrain(labels.maps, str(shard.path))
             return labels
     raise ShardError(f"{shard.path}: damaged (its content hash does not fit); {REPAIRS}")
+
+
+def check_terrain(maps: Maps, path: str) -> None:
+    """Refuse maps whose terrain is not 0 exactly where they are occupied.
+
+    ``path`` is the shard that holds them, for the message.
+
+    Raises:
+        ShardError: the message names the first such map.
+    """
+    if maps.terrain is None:
+        return
+    disagrees = (pack(maps.terrain == 0) != maps.packed).any(axis=(1, 2))
+    if disagrees.any():
+        raise ShardError(
+            f"{path}: map {maps.index[disagrees.argmax()]} is not occupied exactly where its "
+            "terrain is 0 (datasets 'maps' and 'terrain')"
+        )
 
 
 @lru_cache(maxsize=1)
@@ -252,7 +272,9 @@ def _parse_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
         raise ShardError("not a mapdata shard (its attribute 'format' is not 'mapdata')")
     version = int(attributes["format_version"])
     check_version(version)
-    generator = stored_generator(attributes["spec"]) if attributes["spec"] else None
+    has_terrain = version == TERRAIN_VERSION
+    spec = attributes["spec"]
+    generator = stored_generator(spec, has_terrain) if spec else None
     header = Header(
         generator=generator,
         seed=int(attributes["seed"]) if attributes["seed"] else None,
@@ -261,6 +283,7 @@ def _parse_header(attributes: Mapping[str, Any]) -> tuple[Header, str]:
         map_size=check_integers("map_size", attributes["map_size"]),
         movement=Movement(**json.loads(attributes["movement"])),
         resolution=float(attributes["resolution"]),
+        has_terrain=has_terrain,
     )
     if header.format_version != version:
         raise ShardError(
@@ -312,11 +335,25 @@ def _check_arrays(arrays: Mapping[str, Array], header: Header) -> None:
     map_indices = np.repeat(np.arange(len(rooms)), rooms)  # of the map of each seed point
     row, column = seed_points.T
     occupied_bits = arrays["maps"][map_indices, row, column // 8] & (1 << column % 8)
-    is_occupied = occupied_bits > 0
+    _check_seed_points(occupied_bits > 0, "maps", header.start + map_indices)
+    if header.has_terrain:
+        _check_seed_points(
+            arrays["terrain"][map_indices, row, column] == 0, "terrain", header.start + map_indices
+        )
+
+
+def _check_seed_points(is_occupied: Flags, dataset: str, map_numbers: Ints) -> None:
+    """Refuse seed points on cells that are occupied according to a dataset.
+
+    Args:
+        is_occupied: (R,), of the cell of each seed point.
+        dataset: name of the dataset.
+        map_numbers: (R,), of each seed point.
+    """
     if is_occupied.any():
-        first_map = header.start + map_indices[is_occupied][0]
         raise ShardError(
-            f"a seed point of map {first_map} is on an occupied cell (datasets 'maps' and 'seeds')"
+            f"a seed point of map {map_numbers[is_occupied][0]} is on an occupied cell (datasets "
+            f"{dataset!r} and 'seeds')"
         )
 
 
@@ -340,6 +377,8 @@ def _expected_shapes(header: Header, arrays: Mapping[str, Array]) -> dict[str, t
         "directions": (segments, 2),
         "astar_diagonal": (pairs if header.movement.connectivity == 8 else 0,),
     }
+    if header.has_terrain:
+        shapes["terrain"] = (maps, rows, columns)
     for search in SEARCHES:
         bit_count = _last(arrays[f"{search}_offsets"]) * bits_per_move(header.movement)
         shapes |= {

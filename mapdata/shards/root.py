@@ -58,16 +58,17 @@ class Root:
         """Return the dataset in ``source``; no shard is opened yet.
 
         Args:
-            source: a folder, a URL, or several of them, whose maps have one size and one movement.
+            source: a folder, a URL, or several of them, whose maps have one size and one movement,
+                and all of them terrain or none.
             complete: refuse a dataset that is not finished.
 
         Raises:
             DatasetNotFoundError: there is no dataset.
             ConnectionError: a URL cannot be reached, and its manifest is not in the cache.
             ShardError: a manifest is damaged.
-            ValueError: ``source`` is empty; its datasets differ in map size or movement; a dataset
-                is not finished; a URL needs a package that is not installed (the message names
-                it).
+            ValueError: ``source`` is empty; its datasets differ in map size or movement, or only
+                some have terrain; a dataset is not finished; a URL needs a package that is not
+                installed (the message names it).
         """
         names = locations(source)
         manifests = tuple(load_manifest(name) for name in names)
@@ -90,6 +91,11 @@ class Root:
             shards=tuple(shards),
             maps=map_count,
         )
+
+    @property
+    def has_terrain(self) -> bool:
+        """Whether the maps have terrain."""
+        return self.manifests[0].has_terrain
 
     @property
     def resolution(self) -> float:
@@ -195,7 +201,10 @@ class Root:
 def _check_same_maps(
     first_location: str, first: Manifest, location: str, manifest: Manifest
 ) -> None:
-    """Refuse a dataset whose map size or movement differs from that of the first location."""
+    """Refuse a dataset whose maps do not go with those of the first location.
+
+    They must have the same size and movement, and all of them must have terrain, or none.
+    """
     for name in ("map_size", "movement"):
         expected = getattr(first, name)
         actual = getattr(manifest, name)
@@ -204,3 +213,11 @@ def _check_same_maps(
                 f"root: {location} has {name} {actual}, {first_location} has {expected}; the roots "
                 "of one dataset must have one"
             )
+    if manifest.has_terrain != first.has_terrain:
+        with_terrain, without = location, first_location
+        if first.has_terrain:
+            with_terrain, without = without, with_terrain
+        raise ValueError(
+            f"root: the maps of {with_terrain} have terrain, those of {without} have none; open "
+            "them as datasets of their own"
+        )

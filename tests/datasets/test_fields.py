@@ -18,7 +18,7 @@ from helpers.specs import movements
 
 from mapdata import Labels, MapDataset, Movement, OnlineMapDataset, Sample, generate, label
 from mapdata.datasets import FIELDS, Batch
-from mapdata.datasets.fields import Paths, Rooms, room_matrices
+from mapdata.datasets.fields import Paths, Rooms, StoredMaps, room_matrices
 
 Array = npt.NDArray[Any]
 planners = pytest.mark.parametrize("search", ["bfs", "astar"])
@@ -73,15 +73,18 @@ def batch_of(problems: list[Problem], movement: Movement, search: str = "astar")
     def no_rooms() -> Rooms:
         raise AssertionError("nobody asked for rooms")
 
+    grids = np.stack([one.grid for one in problems])
     return Batch(
         movement=movement,
         search=search,
-        grids=np.stack([one.grid for one in problems]),
+        grids=grids,
         starts=np.array([one.start for one in problems]),
         goals=np.array([one.goal for one in problems]),
         problems=np.arange(len(problems)),
         compute_paths=lambda: paths,
         compute_rooms=no_rooms,
+        compute_stored_maps=lambda: StoredMaps(np.arange(len(problems)), grids, None),
+        symmetries=np.zeros(len(problems), np.int64),
         requested_fields=tuple(FIELDS),
     )
 
@@ -193,6 +196,7 @@ def test_fields_of_the_path(shape: tuple[int, int], movement: Movement, search: 
             np.testing.assert_array_equal(found[name][k, 0], mask, err_msg=name)
         np.testing.assert_array_equal(found["map"][k, 0], problem.grid)
         np.testing.assert_array_equal(found["free"][k, 0], 1 - problem.grid)
+        np.testing.assert_array_equal(found["terrain"][k, 0], 1 - problem.grid)
         assert (*found["start"][k], *found["goal"][k]) == (*problem.start, *problem.goal)
         assert found["problem"][k] == k
 
@@ -305,6 +309,7 @@ B, H, W, R = 13, 9, 70, 5
 TABLE: dict[str, tuple[tuple[int, ...], torch.dtype]] = {
     "map": ((B, 1, H, W), torch.uint8),
     "free": ((B, 1, H, W), torch.uint8),
+    "terrain": ((B, 1, H, W), torch.uint8),
     "start": ((B, 2), torch.int64),
     "goal": ((B, 2), torch.int64),
     "length": ((B,), torch.int64),

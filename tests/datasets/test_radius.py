@@ -179,6 +179,7 @@ def assert_true(sample: Sample, grid: Array, search: str, movement: Movement) ->
     layers = {
         "map": grid,
         "free": 1 - grid,
+        "terrain": 1 - grid,
         "path_mask": mask_of(found.path, grid),
         "start_mask": mask_of([start], grid),
         "goal_mask": mask_of([goal], grid),

@@ -23,7 +23,7 @@ from mapdata import (
     pull_taut,
 )
 from mapdata.datasets import Batch
-from mapdata.datasets.fields import Paths, Rooms
+from mapdata.datasets.fields import Paths, Rooms, StoredMaps
 
 RADIUS = 0.09
 """Metres; cells of 0.1 m beside obstacles are left out."""
@@ -201,6 +201,8 @@ def test_a_path_through_a_wall_is_named() -> None:
         goals=path[2:],
         problems=np.array([17]),
         compute_rooms=no_rooms,
+        compute_stored_maps=lambda: StoredMaps(np.array([5]), wall, None),
+        symmetries=np.zeros(1, np.int64),
         requested_fields=("waypoints",),
         compute_paths=lambda: Paths(path, np.array([0, 3]), np.array([3])),
     )

@@ -17,7 +17,7 @@ import pytest
 from helpers import reference
 from helpers.pages import DOCS
 
-from mapdata import MapSpec, ProblemSet, Random, astar, build
+from mapdata import MapSpec, OnlineMapDataset, ProblemSet, Random, Route, astar, build
 from mapdata.generators import MapGenerator
 from mapdata.movement import Movement
 from mapdata.problems import HARD
@@ -427,10 +427,38 @@ def test_the_movement_of_a_set_has_no_default(tmp_path: Path) -> None:
         ProblemSet.read(tmp_path)  # type: ignore[call-arg]
 
 
-def test_conditions_that_are_no_random_problems_are_refused() -> None:
-    """A name, or problems of another kind."""
-    with pytest.raises(ValueError, match=r"problems: got 'random', expected mapdata\.Random"):
-        ProblemSet.sample(DUNGEON, 0, 3, problems="random", movement=Movement(8))  # type: ignore[arg-type]
+def test_problems_of_no_source_are_refused() -> None:
+    """Another name, and problems that have no path."""
+    with pytest.raises(ValueError, match="problems: got 'rout', expected one of route, pairs"):
+        ProblemSet.sample(DUNGEON, 0, 3, problems="rout", movement=Movement(8))
+    with pytest.raises(
+        ValueError, match=r"got Route\(unsolvable=True\), expected unsolvable=False"
+    ):
+        ProblemSet.sample(DUNGEON, 0, 3, problems=Route(unsolvable=True), movement=Movement(8))
+
+
+@pytest.mark.parametrize("problems", ["route", "pairs"])
+def test_problems_between_seed_points_are_those_that_an_online_dataset_serves_first(
+    problems: str,
+) -> None:
+    """On every map, under the movement and radius of the call."""
+    generator = replace(SMALL_ROOMS, resolution=1.0)
+    movement = Movement(8)
+    options: dict[str, Any] = {"problems": problems, "movement": movement, "radius": 0.7}
+    dataset = OnlineMapDataset(
+        generator, 5, 90, fields=("map", "start", "goal"), sampling_seed=5, **options
+    )
+    samples = dataset[:]
+    sampled = ProblemSet.sample(generator, 5, 90, **options)
+    served = {
+        (grid.numpy().tobytes(), tuple(start.tolist()), tuple(goal.tolist()))
+        for grid, start, goal in zip(
+            samples.map[:, 0].byte(), samples.start, samples.goal, strict=True
+        )
+    }
+    assert len(sampled) > 10
+    for grid, start, goal in zip(sampled.grids, sampled.starts, sampled.goals, strict=True):
+        assert (grid.tobytes(), tuple(start.tolist()), tuple(goal.tolist())) in served
 
 
 class Row(NamedTuple):

@@ -198,7 +198,7 @@ def test_other_names_are_never_opened(name: str, built: Path) -> None:
         ('{"format":"mapdata"}', "damaged"),
         ("[" * 100_000, "damaged"),
         (
-            '{"format":"mapdata","format_version":3}',
+            '{"format":"mapdata","format_version":4}',
             r"format version 4, this mapdata [\d.]+ reads 1 to 3",
         ),
         ('{"format":"mapdata","format_version":"1"}', "format version 1"),

@@ -1,0 +1,538 @@
+"""The field ``image``: `Tiles` draws pictures of maps, a small texture for each cell.
+
+**The look of a cost** is the same in all datasets. A cost has three digits in base 11. Each digit
+chooses one of 11 patterns: the lowest digit that of brightness, the middle digit that of red
+against green, the highest digit that of yellow against blue. So all 256 costs look different, and
+costs that follow one another differ in brightness. Patterns differ in what the symmetries of a
+square leave unchanged, because the datasets turn and reflect maps.
+
+**The textures** of a cost have random phases, directions and scales. A pattern only ranks the
+pixels of a texture: all textures have the same brightnesses in another order, around a ground
+colour. So with ``alike``, where the ground colours of all costs are the same, neither the mean
+colour of a texture nor its brightnesses tell anything of its cost.
+
+**A picture** is drawn from the stored map, by copying a texture for each cell from a bank, and
+adding noise from another bank. All numbers are integers and come from `mapdata.rng`, so that a
+picture is the same on every machine.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from threading import Lock
+from typing import ClassVar, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from mapdata.arrays import Bytes, Ints
+from mapdata.checks import check_count, check_flag, check_seed
+from mapdata.jit import Int, inlined, kernel
+from mapdata.problems.symmetry import transform_grids
+from mapdata.rng import IMAGE, block, bounded
+
+MIN_PIXELS, MIN_ALIKE_PIXELS, MAX_PIXELS = 4, 8, 32
+"""Limits of the pixels of a tile; tiles of fewer pixels cannot show all patterns."""
+
+MAX_NOISE = 64
+
+TEXTURES = 1024
+"""Number of textures of each cost."""
+
+_TILE, _NOISE_RUN, _TEXTURE, _TINT, _NOISE = range(5)
+"""The epochs of random words: each purpose has words of its own."""
+
+_BASE = 11
+"""Base of the digits of a cost, and number of patterns."""
+
+_SIDE = 128
+"""Side of a tile in the units of patterns, whatever its number of pixels."""
+
+_FINE = (40, 48)
+_COARSE = (72, 88)
+"""Shortest and longest period of fine and of coarse patterns, in units."""
+
+_FINE_PATTERNS = (4, 5, 7, 9, 10)
+"""The digits of the fine patterns."""
+
+_MAX_PHASE = 1023
+"""Highest phase of a pattern, in units; it is many periods, so that all phases occur as often."""
+
+_LATTICE = 8
+"""Rows and columns of the random bytes of blobs and speckles."""
+
+_GRAIN = 48
+_GRAIN_OF_BLOBS = 12
+"""Height of the grain that roughens a pattern of height 256; blobs are often flatter."""
+
+_AMPLITUDES = (26, 5, 5)
+_ALIKE_AMPLITUDES = (44, 12, 12)
+"""Highest levels of brightness, of red against green, and of yellow against blue."""
+
+_ALIKE_COLOUR = (124, 118, 106)
+"""Mean colour of all tiles that look alike."""
+
+_OCCUPIED_COLOUR = (46, 44, 52)
+
+_COLOURS = (
+    (122, 122, 130),  # rock
+    (134, 182, 84),  # grass
+    (218, 196, 138),  # sand
+    (74, 124, 190),  # water
+    (58, 104, 64),  # forest
+    (132, 106, 66),  # earth
+    (150, 112, 164),  # heath
+    (206, 124, 70),  # clay
+    (178, 184, 196),  # paving
+    (76, 146, 136),  # swamp
+    (176, 52, 60),  # lava
+)
+"""Mean colours by the lowest digit of a cost."""
+
+_SHIFTS = (0, 18, -18)
+"""What the higher digits of a cost, in base 3, add to the channels of its colour."""
+
+_MAX_TINT = 8
+"""By how much the channels of the mean colour of a texture differ from the ground at most."""
+
+_NOISE_COUNT = 2**18
+"""Number of levels in the bank of noise."""
+
+_NOISE_UNIT = 8
+"""The bank of noise holds eighths of grey levels."""
+
+
+@inlined
+def _wave(position: Int, period: Int) -> Int:
+    """Return a triangular wave of height 256 at a position."""
+    phase = (position % period) * 512 // period
+    return phase if phase <= 256 else 512 - phase
+
+
+@kernel
+def _height(digit: Int, u: Int, v: Int, period: Int, offset: Int, lattice: Ints) -> Int:
+    """Return the height of a pattern, 0 to 256, at a point of a tile.
+
+    Args:
+        digit: number of the pattern, 0 to 10.
+        u: first coordinate, in units.
+        v: second coordinate, in units.
+        period: distance of the waves, in units.
+        offset: phase of the second of two waves; that of the first is a part of ``u``.
+        lattice: (64,) random bytes, for speckles and blobs.
+    """
+    # 5 / 7 is close to 1 / sqrt(2), and 4 / 9 to 1 / sqrt(5): waves in these directions have the
+    # same period.
+    diagonal = (u + v) * 5 // 7
+    antidiagonal = (u - v) * 5 // 7 + offset
+    if digit in (3, 5):  # stripes along an axis
+        return _wave(u, period)
+    if digit in (6, 7):  # diagonal stripes
+        return _wave(diagonal, period)
+    if digit == 9:  # stripes between an axis and a diagonal
+        return _wave((2 * u + v) * 4 // 9, period)
+    if digit in (2, 4):  # checks
+        product = (_wave(u, period) - 128) * (_wave(v + offset, period) - 128)
+        return 128 + product // 128
+    if digit in (8, 10):  # checks that stand on a corner
+        product = (_wave(diagonal, period) - 128) * (_wave(antidiagonal, period) - 128)
+        return 128 + product // 128
+    if digit == 1:  # speckles
+        return lattice[(u // 16) % _LATTICE * _LATTICE + (v // 16) % _LATTICE]
+    # Blobs: random heights, a period apart, and linear in between.
+    row, down = divmod(u, period)
+    column, right = divmod(v + offset, period)
+    row %= _LATTICE
+    column %= _LATTICE
+    next_row = (row + 1) % _LATTICE
+    next_column = (column + 1) % _LATTICE
+    upper = (
+        lattice[row * _LATTICE + column] * (period - right)
+        + lattice[row * _LATTICE + next_column] * right
+    )
+    lower = (
+        lattice[next_row * _LATTICE + column] * (period - right)
+        + lattice[next_row * _LATTICE + next_column] * right
+    )
+    return (upper * (period - down) + lower * down) // (period * period)
+
+
+@kernel
+def _draw_bytes(
+    seed: np.uint64, index: np.uint64, epoch: Int, number: Int, random_bytes: Ints
+) -> Int:
+    """Fill an array with random bytes, and return the number of the next block of words."""
+    for i in range(0, len(random_bytes), 16):
+        words = block(seed, index, epoch, IMAGE, number)
+        number += 1
+        for j in range(min(16, len(random_bytes) - i)):
+            random_bytes[i + j] = (words[j // 4] >> np.uint64(8 * (j % 4))) & np.uint64(255)
+    return number
+
+
+@kernel
+def _draw_heights(seed: np.uint64, cost: Int, pixels: Int) -> Ints:
+    """Return the heights of the pixels of all textures of a cost.
+
+    Returns:
+        (TEXTURES, 3, pixels * pixels) int64: the heights of the patterns of the three digits.
+    """
+    heights = np.empty((TEXTURES, 3, pixels * pixels), np.int64)
+    lattice = np.empty(_LATTICE * _LATTICE, np.int64)
+    grain = np.empty(pixels * pixels, np.int64)
+    for texture in range(TEXTURES):
+        index = np.uint64(cost * TEXTURES + texture)
+        number = 0
+        higher_digits = cost
+        for axis in range(3):
+            digit = higher_digits % _BASE
+            higher_digits //= _BASE
+            words = block(seed, index, _TEXTURE, IMAGE, number)
+            min_period, max_period = _FINE if digit in _FINE_PATTERNS else _COARSE
+            period = bounded(words[0], min_period, max_period)
+            phase = bounded(words[1], 0, _MAX_PHASE)
+            offset = bounded(words[2], 0, _MAX_PHASE)
+            direction = bounded(words[3], 0, 7)
+            grain_height = _GRAIN_OF_BLOBS if digit == 0 else _GRAIN
+            number = _draw_bytes(seed, index, _TEXTURE, number + 1, lattice)
+            number = _draw_bytes(seed, index, _TEXTURE, number, grain)
+            for row in range(pixels):
+                for column in range(pixels):
+                    # The middle of the pixel, after a symmetry of the square.
+                    u = (2 * row + 1) * _SIDE // (2 * pixels)
+                    v = (2 * column + 1) * _SIDE // (2 * pixels)
+                    if direction & 1:
+                        u = _SIDE - u
+                    if direction & 2:
+                        v = _SIDE - v
+                    if direction & 4:
+                        u, v = v, u
+                    height = _height(digit, u + phase, v, period, offset, lattice)
+                    pixel = row * pixels + column
+                    heights[texture, axis, pixel] = 256 * height + grain_height * grain[pixel]
+    return heights
+
+
+def _levels_of_ranks(heights: Ints, amplitude: int) -> Ints:
+    """Return levels from -``amplitude`` to ``amplitude``, in the order of the heights.
+
+    The sum of the levels of a texture is 0 and their distribution uniform, whatever its pattern.
+
+    Args:
+        heights: (N, pixels * pixels).
+        amplitude: the highest level.
+    """
+    count = heights.shape[1]
+    # Twice the distance of a rank from the middle rank, so that it is a whole number.
+    distances = 2 * np.arange(count) - (count - 1)
+    levels_of_ranks = np.sign(distances) * (
+        (2 * amplitude * abs(distances) + count - 1) // (2 * (count - 1))
+    )
+    levels = np.empty_like(heights)
+    order = np.argsort(heights, axis=1, kind="stable")
+    np.put_along_axis(levels, order, np.broadcast_to(levels_of_ranks, order.shape), axis=1)
+    return levels
+
+
+def _ground_colour(cost: int) -> tuple[int, int, int]:
+    """Return the mean (red, green, blue) of the tiles of a cost, unless all costs look alike."""
+    if cost == 0:
+        return _OCCUPIED_COLOUR
+    number, digit = divmod(cost, _BASE)
+    red, green, blue = _COLOURS[digit]
+    return (
+        red + _SHIFTS[number % 3],
+        green + _SHIFTS[number // 3 % 3],
+        blue + _SHIFTS[number // 9],
+    )
+
+
+@kernel
+def _draw_tints(seed: np.uint64) -> Ints:
+    """Return (TEXTURES, 3) int64, by how much the mean colours of textures differ from the ground.
+
+    They are the same for all costs, so that they do not tell which cost a tile has.
+    """
+    tints = np.empty((TEXTURES, 3), np.int64)
+    for texture in range(TEXTURES):
+        words = block(seed, np.uint64(texture), _TINT, IMAGE, 0)
+        for channel in range(3):
+            tints[texture, channel] = bounded(words[channel], -_MAX_TINT, _MAX_TINT)
+    return tints
+
+
+def draw_textures(cost: int, pixels: int, alike: bool, seed: int) -> Bytes:
+    """Return the textures of a cost, (TEXTURES, 3, pixels, pixels) uint8.
+
+    Args:
+        cost: 0 for an occupied cell, otherwise 1 to 255.
+        pixels: rows and columns of a texture.
+        alike: whether all costs have the same mean colours.
+        seed: key of the random words.
+    """
+    heights = _draw_heights(np.uint64(seed), cost, pixels)
+    amplitudes = _ALIKE_AMPLITUDES if alike else _AMPLITUDES
+    brightness, red_green, yellow_blue = (
+        _levels_of_ranks(heights[:, axis], amplitudes[axis]) for axis in range(3)
+    )
+    levels = np.stack(
+        (
+            brightness + red_green + yellow_blue,
+            brightness - red_green + yellow_blue,
+            brightness - yellow_blue,
+        ),
+        axis=1,
+    )
+    ground = _ALIKE_COLOUR if alike else _ground_colour(cost)
+    levels += (np.array(ground) + _draw_tints(np.uint64(seed)))[:, :, None]
+    return levels.clip(0, 255).astype(np.uint8).reshape(TEXTURES, 3, pixels, pixels)
+
+
+class _Bank:
+    """The textures of the costs that have occurred so far, for some pixels, mode and seed.
+
+    Attributes:
+        textures: (S, TEXTURES, 3, pixels, pixels) uint8; S grows.
+        slots: (256,) int64, where the textures of a cost are, -1 if they have not been drawn.
+    """
+
+    def __init__(self, pixels: int, alike: bool, seed: int) -> None:
+        """Begin without textures."""
+        self._pixels = pixels
+        self._alike = alike
+        self._seed = seed
+        self._lock = Lock()
+        self._count = 0
+        self.textures = np.zeros((4, TEXTURES, 3, pixels, pixels), np.uint8)
+        self.slots = np.full(256, -1)
+
+    def with_costs(self, terrain: Bytes) -> tuple[Bytes, Ints]:
+        """Return ``textures`` and ``slots`` after the costs of ``terrain`` have been added."""
+        is_used = np.bincount(terrain.reshape(-1), minlength=256) > 0
+        with self._lock:
+            for cost in np.flatnonzero(is_used & (self.slots < 0)).tolist():
+                if self._count == len(self.textures):
+                    # The room doubles, so that it is copied a few times in all.
+                    self.textures = np.concatenate((self.textures, np.zeros_like(self.textures)))
+                self.textures[self._count] = draw_textures(
+                    cost, self._pixels, self._alike, self._seed
+                )
+                self.slots[cost] = self._count
+                self._count += 1
+            return self.textures, self.slots
+
+
+@lru_cache(maxsize=8)
+def _bank(pixels: int, alike: bool, seed: int) -> _Bank:
+    """Return the bank of this process for some options."""
+    return _Bank(pixels, alike, seed)
+
+
+def _noise_levels(noise: int) -> npt.NDArray[np.int16]:
+    """Return 256 levels of noise, equally probable, in units of `_NOISE_UNIT`.
+
+    Their standard deviation is ``noise`` / sqrt(2), because two of them are added. They are
+    quantiles of the sum of four random bytes, which is close to a normal distribution.
+    """
+    counts = np.ones(1, np.int64)
+    for _ in range(4):
+        counts = np.convolve(counts, np.ones(256, np.int64))
+    middle = len(counts) // 2
+    # The quantiles above the middle; those below are their mirror images.
+    targets = (2 * np.arange(128, 256) + 1) * 2**23
+    upper = np.searchsorted(np.cumsum(counts), targets) - middle
+    # 2**10 times the standard deviation of the quantiles, times sqrt(2).
+    deviation = math.isqrt(2 * int((upper * upper).sum()) * 2**20 // 128)
+    scale = _NOISE_UNIT * noise * 2**10
+    levels = (2 * scale * upper + deviation) // (2 * deviation)
+    return np.concatenate((-levels[::-1], levels)).astype(np.int16)
+
+
+@kernel
+def _draw_noise_bytes(seed: np.uint64) -> Ints:
+    """Return `_NOISE_COUNT` random bytes as int64, of which the noise is made."""
+    random_bytes = np.empty(_NOISE_COUNT, np.int64)
+    _draw_bytes(seed, np.uint64(0), _NOISE, 0, random_bytes)
+    return random_bytes
+
+
+@lru_cache(maxsize=8)
+def _noise_bank(noise: int, seed: int) -> npt.NDArray[np.int16]:
+    """Return (`_NOISE_COUNT`,) levels of noise; they are the same in every process."""
+    return _noise_levels(noise)[_draw_noise_bytes(np.uint64(seed))]
+
+
+@kernel
+def _copy_tiles(
+    terrain: Bytes,
+    map_numbers: Ints,
+    seed: np.uint64,
+    textures: Bytes,
+    slots: Ints,
+    noise_bank: npt.NDArray[np.int16],
+    pictures: Bytes,
+) -> None:
+    """Fill pictures, (B, 3, pixels * H, pixels * W), with textures of the bank and noise.
+
+    Args:
+        terrain: (B, H, W).
+        map_numbers: (B,).
+        seed: key of the random words.
+        textures: of the bank.
+        slots: of the bank.
+        noise_bank: levels of noise, or empty for no noise.
+        pictures: are filled.
+    """
+    maps, rows, columns = terrain.shape
+    pixels = textures.shape[3]
+    width = np.uint64(columns * pixels)
+    bank_pixels = textures.reshape(-1)
+    # Where the bank has the first row of pixels of the tiles of a row of cells.
+    sources = np.empty(width, np.uint64)
+    for b in range(maps):
+        index = np.uint64(map_numbers[b])
+        for row in range(rows):
+            for column in range(columns):
+                word, _, _, _ = block(seed, index, _TILE, IMAGE, row * columns + column)
+                texture = bounded(word, 0, TEXTURES - 1)
+                number = slots[terrain[b, row, column]] * TEXTURES + texture
+                for i in range(pixels):
+                    sources[column * pixels + i] = number * 3 * pixels * pixels + i
+            for channel in range(3):
+                for pixel_row in range(pixels):
+                    picture_row = row * pixels + pixel_row
+                    line = pictures[b, channel, picture_row]
+                    source_row = np.uint64((channel * pixels + pixel_row) * pixels)
+                    for x in range(width):
+                        line[x] = bank_pixels[sources[x] + source_row]
+                    if len(noise_bank) > 0:
+                        words = block(seed, index, _NOISE_RUN, IMAGE, 3 * picture_row + channel)
+                        _add_noise(noise_bank, words[0], words[1], line)
+
+
+@inlined
+def _add_noise(
+    noise_bank: npt.NDArray[np.int16], word: np.uint64, other_word: np.uint64, line: Bytes
+) -> None:
+    """Add noise to a row of pixels: the sum of two runs of the bank, which two words choose."""
+    last = len(noise_bank) - len(line)
+    run = np.uint64(bounded(word, 0, last))
+    other_run = np.uint64(bounded(other_word, 0, last))
+    for x in range(np.uint64(len(line))):
+        noise = noise_bank[run + x] + noise_bank[other_run + x]
+        # Halves are rounded away from 0, so that the mean of the noise is 0.
+        sign = noise >> np.int16(15)
+        levels = (noise + sign + np.int16(_NOISE_UNIT // 2)) // np.int16(_NOISE_UNIT)
+        level = np.int16(line[x]) + levels
+        line[x] = min(max(level, np.int16(0)), np.int16(255))
+
+
+def draw_tiles(
+    terrain: Bytes, map_numbers: Ints, pixels: int, alike: bool, noise: int, seed: int
+) -> Bytes:
+    """Return pictures of maps, (B, 3, pixels * H, pixels * W) uint8.
+
+    Args:
+        terrain: (B, H, W) uint8, 0 occupied, otherwise the cost of a cell.
+        map_numbers: (B,) numbers of the maps, which choose the textures.
+        pixels: rows and columns of a tile.
+        alike: whether all costs have the same mean colours.
+        noise: standard deviation of the noise of a pixel.
+        seed: key of the random words.
+    """
+    maps, rows, columns = terrain.shape
+    pictures = np.empty((maps, 3, rows * pixels, columns * pixels), np.uint8)
+    textures, slots = _bank(pixels, alike, seed).with_costs(terrain)
+    noise_bank = _noise_bank(noise, seed) if noise else np.empty(0, np.int16)
+    _copy_tiles(terrain, map_numbers, np.uint64(seed), textures, slots, noise_bank, pictures)
+    return pictures
+
+
+class StoredMaps(Protocol):
+    """What `Tiles` needs of a `Batch`; see there."""
+
+    @property
+    def stored_terrain(self) -> Bytes | None:
+        """(B, H, W) uint8."""
+
+    @property
+    def stored_grids(self) -> Bytes:
+        """(B, H, W) uint8."""
+
+    @property
+    def map_numbers(self) -> Ints:
+        """(B,) int64."""
+
+    @property
+    def symmetries(self) -> Ints:
+        """(B,) int64."""
+
+
+@dataclass(frozen=True)
+class Tiles:
+    """The field ``image``, with options of your own: pictures of the maps.
+
+    It stands among the names in ``fields=``: ``fields=("image", "path", Tiles(noise=10))``.
+
+    Each cell is drawn as a tile by its cost: 0 for an occupied cell, the cost of terrain, or 1 for
+    a free cell of a map without terrain. A cost looks alike in all maps and datasets, but never the
+    same: its texture is chosen at random from `TEXTURES`, by the number of the map and the cell.
+
+    The picture belongs to the stored map. ``augment`` turns and reflects the picture with the map,
+    and a ``radius`` does not change it.
+
+    Attributes:
+        pixels: k, rows and columns of a tile, 4 to 32.
+        alike: whether all costs have the same mean colours, so that only the patterns of the tiles
+            tell them apart; needs at least 8 pixels.
+        noise: standard deviation of the noise that is added to each channel of each pixel, in grey
+            levels of 0 to 255; at most 64.
+        seed: another seed gives other textures of the same looks, and other noise.
+
+    Raises:
+        ValueError: an option out of range.
+    """
+
+    pixels: int = 8
+    alike: bool = False
+    noise: int = 0
+    seed: int = 0
+
+    __name__: ClassVar[str] = "image"
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        check_flag("alike", self.alike)
+        pixels = check_count("pixels", self.pixels)
+        min_pixels = MIN_ALIKE_PIXELS if self.alike else MIN_PIXELS
+        if not min_pixels <= pixels <= MAX_PIXELS:
+            raise ValueError(
+                f"pixels: got {pixels}, expected {min_pixels} to {MAX_PIXELS} rows and columns of "
+                f"a tile{' for alike=True' if self.alike else ''}"
+            )
+        noise = check_count("noise", self.noise, minimum=0)
+        if noise > MAX_NOISE:
+            raise ValueError(f"noise: got {noise}, expected at most {MAX_NOISE} grey levels")
+        object.__setattr__(self, "pixels", pixels)
+        object.__setattr__(self, "noise", noise)
+        object.__setattr__(self, "seed", check_seed(self.seed))
+
+    def __call__(self, batch: StoredMaps) -> Bytes:
+        """Return the pictures, (B, 3, pixels * H, pixels * W) uint8."""
+        terrain = batch.stored_terrain
+        if terrain is None:
+            terrain = batch.stored_grids ^ np.uint8(1)  # A free cell costs 1.
+        pictures = draw_tiles(
+            terrain, batch.map_numbers, self.pixels, self.alike, self.noise, self.seed
+        )
+        return after_symmetries(pictures, batch.symmetries)
+
+
+def after_symmetries(pictures: Bytes, symmetries: Ints) -> Bytes:
+    """Return pictures, (B, 3, rows, columns), after the symmetries of their maps, (B,)."""
+    if not symmetries.any():
+        return pictures
+    channels = pictures.reshape(-1, *pictures.shape[2:])
+    return transform_grids(channels, np.repeat(symmetries, 3)).reshape(pictures.shape)
