@@ -16,7 +16,7 @@ from mapdata.plotting.plot import (
     COLOURS,
     matrices_are_equal,
     new_axes,
-    plot_grid,
+    plot_grid_of_map,
     plot_map,
     plot_matrix,
     plot_path,
@@ -98,7 +98,7 @@ def plot_gallery(
         axes = new_axes(rows, columns, (2.6 * columns, 2.85 * rows * aspect + 0.5))
     for ax, (caption, index) in zip(axes, examples.items(), strict=False):
         labels, i = statistics.root.locate(index)
-        plot_grid(labels.maps.occupancy[i], ax, paper_colours=paper_colours)
+        plot_grid_of_map(labels, i, ax, paper_colours)
         seed_points = labels.maps.seed_points[i, : labels.maps.rooms[i]]
         ax.plot(seed_points[:, 1], seed_points[:, 0], "o", color=COLOURS["seed"], mec="white", ms=6)
         ax.set(xlabel="", ylabel="", xticks=[], yticks=[])

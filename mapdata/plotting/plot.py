@@ -11,7 +11,7 @@ matplotlib is imported when a figure is drawn, since its import is slow.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import cycle
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,11 +24,23 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from matplotlib.image import AxesImage
 
     from mapdata.search.labels import Labels
 
-# Okabe and Ito's colours, which colour-blind readers can tell apart.
-COLOURS = {"bfs": "#D55E00", "astar": "#0072B2", "seed": "#009E73"}
+COLOURS = {
+    "bfs": "#D55E00",
+    "astar": "#0072B2",
+    "predicted": "#CC79A7",
+    "seed": "#009E73",
+    "sample": "#56B4E9",
+}
+"""What each colour means in all figures: the path of a search, the path that a model predicts, seed
+points, start and goal, and the samples of a roadmap.
+
+They are Okabe and Ito's colours, which colour-blind readers can tell apart.
+"""
+
 NAMES = {"bfs": "BFS", "astar": "A*"}
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = "osD^v<>PXph"
@@ -36,10 +48,14 @@ MARKERS = "osD^v<>PXph"
 STYLE: dict[Any, str] = {
     "axes.edgecolor": "0.5",
     "axes.labelsize": "small",
+    "axes.prop_cycle": f"cycler('color', {list(PALETTE)})",
     "xtick.labelsize": "small",
     "ytick.labelsize": "small",
 }
 """The rcParams of figures that are created here."""
+
+_SEGMENT_COLOURS = {"bfs": ("#D55E00", "#E69F00"), "astar": ("#0072B2", "#56B4E9")}
+"""Alternating colours of the segments of a route: that of the search, and a lighter one."""
 
 _MAX_LEGEND_SEGMENTS = 16
 """Maximal number of segments in a legend."""
@@ -47,12 +63,24 @@ _MAX_LEGEND_SEGMENTS = 16
 _MAX_MATRIX_TEXTS = 16
 """Maximal number of rooms for which costs are written into the connection matrix."""
 
+_LABEL_DISTANCES = (8, 20, 34, 50, 70)
+"""Points between a mark and its label, in the order in which they are tried."""
+
+_LABEL_DIRECTIONS = ((1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1), (0, 1), (0, -1))
+"""Directions from a mark to its label, (right, up), in the order in which they are tried."""
+
+_LABEL_LINE = {"arrowstyle": "-", "color": "0.6", "linewidth": 0.7}
+
 _LANE_WIDTH = 1.6
 """Points between paths that are drawn side by side; in a figure of one map a cell has about 6."""
 
 
 def plot_grid(
-    occupancy: ArrayLike, axes: Axes | None = None, *, paper_colours: bool = False
+    occupancy: ArrayLike,
+    axes: Axes | None = None,
+    *,
+    paper_colours: bool = False,
+    terrain: ArrayLike | None = None,
 ) -> Axes:
     """Draw a grid: free white and occupied black, or the opposite as in the paper's Figure 2.
 
@@ -60,6 +88,7 @@ def plot_grid(
         occupancy: (H, W), 0 free and 1 occupied.
         axes: where to draw; default a new figure.
         paper_colours: free black, occupied white.
+        terrain: (H, W), the cost of each cell, drawn as a shade of the free cells; high is dark.
     """
     axes = axes or new_axes()[0]
     if paper_colours:
@@ -72,7 +101,18 @@ def plot_grid(
         np.asarray(occupancy), cmap=colour_map, vmin=0, vmax=max_shade, interpolation="nearest"
     )
     axes.set(xlabel="column", ylabel="row")
+    if terrain is not None:
+        shade_cells(axes, np.asarray(terrain), np.asarray(occupancy) == 1)
     return axes
+
+
+def shade_cells(axes: Axes, numbers: Array, is_hidden: Array) -> AxesImage:
+    """Draw numbers (H, W) of the cells of a grid as shades from 0 on, but not where ``is_hidden``.
+
+    Lines stay visible on all shades.
+    """
+    shades = np.ma.masked_where(is_hidden, numbers)
+    return axes.imshow(shades, "YlOrBr", alpha=0.6, vmin=0, interpolation="nearest")
 
 
 def plot_map(
@@ -87,7 +127,7 @@ def plot_map(
         paper_colours: free black, occupied white.
     """
     maps = labels.maps
-    axes = plot_grid(maps.occupancy[i], axes, paper_colours=paper_colours)
+    axes = plot_grid_of_map(labels, i, axes, paper_colours)
     for search, lane in (("bfs", -1), ("astar", 1)):
         label = f"{NAMES[search]}, {labels.iterations(search, i).sum():,} iterations"
         for path in labels.route(search, i):
@@ -110,7 +150,8 @@ def plot_path(
 ) -> Axes:
     """Draw the route of one search on map ``i`` of a batch: the paper's Figure 3.
 
-    The legend names the moves and iterations of the first 16 segments.
+    Two shades of the search's colour alternate. The legend names the moves and iterations of the
+    first 16 segments.
 
     Args:
         labels: labelled maps.
@@ -123,10 +164,10 @@ def plot_path(
     # Its kernels import numba, which most figures do not need.
     from mapdata.search.taut import pull_taut
 
-    axes = plot_grid(labels.maps.occupancy[i], axes, paper_colours=paper_colours)
+    axes = plot_grid_of_map(labels, i, axes, paper_colours)
     iterations = labels.iterations(search, i)
     route = labels.route(search, i)
-    colours = PALETTE[:-1]  # all but black
+    colours = _SEGMENT_COLOURS[search]
     styles = ("-", (0, (4, 1.5)), (0, (1, 1)))
     lanes = (-1, 0, 1)
     for segment, (path, count) in enumerate(zip(route, iterations, strict=True)):
@@ -210,7 +251,7 @@ def matrices_are_equal(labels: Labels, i: int) -> bool:
 def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str = "hard") -> Axes:
     """Draw the cost ratio of each planner against its expansion ratio; left and low is good.
 
-    Bars are 95 % intervals.
+    Bars are 95 % intervals. Each mark has the name of its planner beside it.
 
     Args:
         table: what `evaluate` returns.
@@ -218,24 +259,64 @@ def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str 
         subset: "hard" or "all".
     """
     check_choice("subset", subset, ("hard", "all"))
-    axes = axes or new_axes()[0]
+    axes = axes or new_axes(size=(7, 5))[0]
     rows = table[table["subset"] == subset]
-    for row, colour, marker in zip(rows.to_dict("records"), cycle(PALETTE), cycle(MARKERS)):
+    colour = COLOURS["astar"]
+    for row in rows.to_dict("records"):
         x = row["expansion_ratio"]
         y = row["cost_ratio"]
         axes.hlines(y, row["expansion_ratio_low"], row["expansion_ratio_high"], colour, linewidth=1)
         axes.vlines(x, row["cost_ratio_low"], row["cost_ratio_high"], colour, linewidth=1)
-        axes.plot(x, y, marker, color=colour, fillstyle="none", mew=2, ms=9, label=row["planner"])
+        axes.plot(x, y, "o", color=colour, fillstyle="none", mew=2, ms=8, label=row["planner"])
     axes.set_xscale("log", base=2)
     axes.xaxis.set_major_formatter("{x:g}")
+    axes.margins(0.12)
     axes.set(
-        xlabel="expansions / expansions of A* (mean)",
-        ylabel="cost / optimal cost (mean of the solved)",
+        xlabel="expansions / expansions of A* (mean); left is better",
+        ylabel="cost / optimal cost (mean of the solved); low is better",
         title=f"{subset} problems: {rows['n'].max()}",
     )
     axes.grid(alpha=0.3)
-    _put_legend_below(axes, ncols=3)
+    _name_marks(axes)
     return axes
+
+
+def _name_marks(axes: Axes) -> None:
+    """Write the label of each mark beside it, where it covers no other label and no mark.
+
+    Where there is no room beside the mark, the label is farther away, at the end of a thin line.
+    """
+    from matplotlib.text import Text
+    from matplotlib.transforms import Bbox
+
+    figure: Any = axes.figure  # matplotlib's type hints also allow None here
+    figure.draw_without_rendering()  # makes the layout, on which the sizes of texts depend
+    points_to_pixels = figure.dpi / 72
+    lines = axes.get_lines()
+    marks = [axes.transData.transform((line.get_xdata()[0], line.get_ydata()[0])) for line in lines]
+    radius = 6 * points_to_pixels
+    taken = [Bbox.from_extents(x - radius, y - radius, x + radius, y + radius) for x, y in marks]
+    for line in lines:
+        x, y = line.get_xdata()[0], line.get_ydata()[0]
+        for distance, (right, up) in product(_LABEL_DISTANCES, _LABEL_DIRECTIONS):
+            label = axes.annotate(
+                line.get_label(),
+                (x, y),
+                (distance * right, distance * up),
+                textcoords="offset points",
+                ha=("center", "left", "right")[right],
+                va=("center", "bottom", "top")[up],
+                fontsize="small",
+                arrowprops=None if distance == _LABEL_DISTANCES[0] else _LABEL_LINE,
+            )
+            box = Text.get_window_extent(label)  # without the line to the mark
+            is_inside = all(axes.bbox.contains(*corner) for corner in box.corners())
+            if is_inside and not box.count_overlaps(taken):
+                break
+            label.remove()
+        else:  # no room anywhere: the label may cover another one
+            label = axes.annotate(line.get_label(), (x, y), fontsize="small")
+        taken.append(Text.get_window_extent(label))
 
 
 def plot_cells(
@@ -273,11 +354,32 @@ def plot_cells(
     axes.add_collection(ArrowHeads(x_and_y, shifted, colour), autolim=False)
 
 
+def plot_grid_of_map(labels: Labels, i: int, axes: Axes | None, paper_colours: bool) -> Axes:
+    """Draw the grid of map ``i``, and its terrain if it has any."""
+    maps = labels.maps
+    terrain = None if maps.terrain is None else maps.terrain[i]
+    return plot_grid(maps.occupancy[i], axes, paper_colours=paper_colours, terrain=terrain)
+
+
 def _plot_seed_points(axes: Axes, labels: Labels, i: int) -> None:
     """Mark the seed points of map ``i`` with their numbers, from 1."""
     seed_points = labels.maps.seed_points[i, : labels.maps.rooms[i]]
     for number, (row, column) in enumerate(seed_points, 1):
         mark(axes, str(number), row, column)
+
+
+def plot_ends(start: ArrayLike, goal: ArrayLike, axes: Axes) -> Axes:
+    """Mark the start with S on a disc and the goal with G on a square, as all figures do.
+
+    Args:
+        start: (2,), the cell (row, col).
+        goal: (2,), the cell (row, col).
+        axes: with a map, such as `plot_grid` returns.
+    """
+    for letter, cell in (("S", start), ("G", goal)):
+        row, column = np.asarray(cell, np.float64)
+        mark(axes, letter, row, column)
+    return axes
 
 
 def mark(axes: Axes, text: str, row: float, column: float) -> None:

@@ -37,6 +37,7 @@ ELSEWHERE = {
     "howto/ompl.md",
     "howto/robot.md",
     "promises.md",
+    "recipes.md",
     "scale.md",
 }
 """Pages with a test of their own."""
