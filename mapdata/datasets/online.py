@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from mapdata.arrays import Ints
+from mapdata.arrays import Bytes, Ints
 from mapdata.checks import check_count
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving, Transform
 from mapdata.datasets.dataset import SampledProblemDataset, SampledProblems

@@ -33,7 +33,7 @@ from mapdata import (
 )
 from mapdata.arrays import Ints
 from mapdata.datasets import FIELDS, Batch, Waypoints
-from mapdata.datasets.fields import Rooms
+from mapdata.datasets.fields import Rooms, StoredMaps
 from mapdata.generators.maps import Maps
 
 Array = npt.NDArray[Any]
