@@ -309,13 +309,15 @@ def _name_marks(axes: Axes) -> None:
                 fontsize="small",
                 arrowprops=None if distance == _LABEL_DISTANCES[0] else _LABEL_LINE,
             )
-            box = Text.get_window_extent(label)  # without the line to the mark
+            label.get_window_extent()  # moves the text to its place; it includes the line
+            box = Text.get_window_extent(label)
             is_inside = all(axes.bbox.contains(*corner) for corner in box.corners())
             if is_inside and not box.count_overlaps(taken):
                 break
             label.remove()
         else:  # no room anywhere: the label may cover another one
             label = axes.annotate(line.get_label(), (x, y), fontsize="small")
+            label.get_window_extent()
         taken.append(Text.get_window_extent(label))
 
 

@@ -236,7 +236,12 @@ def test_the_notebook_runs_and_ends_in_pictures() -> None:
 def test_each_picture_is_one_that_the_script_draws() -> None:
     """`docs/figures.py` draws all that lie there, for both themes; each is shown, in words, too."""
     script = runpy.run_path(str(DOCS / "figures.py"))
-    drawn = {f"{name}{theme}.png" for name in script["NAMES"] for theme in ("", "-dark")}
+    drawn = {
+        f"{name}{variant}{theme}.png"
+        for name, variants in script["VARIANTS"].items()
+        for variant in variants
+        for theme in ("", "-dark")
+    }
     assert {file.name for file in (DOCS / "images").iterdir()} == drawn
     assert all(
         file.stat().st_size <= script["LARGEST"] <= 150_000 for file in (DOCS / "images").iterdir()
@@ -309,5 +314,10 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     assert "data:image/png;base64" in notebook
     front = (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
     body = front.split("<article", 1)[1].split("</h1>", 1)[1]
-    assert re.match(r"\s*<p><img [^>]*images/overview.png#only-light", body)
+    assert re.match(
+        r'\s*<p><picture><source media="[^"]*" srcset="images/overview-phone.png">'
+        r"<img [^>]*images/overview.png#only-light",
+        body,
+    )
     assert "images/overview-dark.png#only-dark" in body
+    assert 'srcset="images/overview-phone-dark.png"' in body

@@ -160,9 +160,9 @@ def test_links_of_the_package_index_are_those_of_the_repository() -> None:
     links = re.findall(rf'[("]{address}/(blob|raw)/v1\.2\.3/([^)"#]+)', absolute)
     assert [path for _, path in links if not (ROOT / path).exists()] == []
     assert {path for folder, path in links if folder == "raw"} == {
-        f"docs/images/{name}.png"
-        for picture in ("overview", "presets", "batch")
-        for name in (picture, f"{picture}-dark")
+        f"docs/images/{name}{theme}.png"
+        for name in ("overview", "overview-phone", "presets", "presets-phone", "batch")
+        for theme in ("", "-dark")
     }
     assert ("blob", "CONTRIBUTING.md") in links
     assert not re.findall(r'(?:\]\(|src="|srcset=")(?!https?://|#)', absolute)
