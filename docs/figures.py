@@ -146,8 +146,8 @@ def mosaic(pictures: list[Floats], columns: int) -> Floats:
 
 def overview(columns: int = 4) -> Figure:
     """Maps; the labels of one; a target to learn; what a network learnt."""
-    width = 2.6 * columns
-    figure, axes = new_figure(4 // columns, columns, (width, 2.8 * 4 // columns))
+    rows = 4 // columns
+    figure, axes = new_figure(rows, columns, (2.4 * columns, 2.75 * rows))
     wide_maze = Maze((64, 64), corridor=3, reopened=0.1)
     chosen: list[tuple[MapGenerator, int]] = [
         (PRESETS["paper"], 7),
@@ -165,16 +165,16 @@ def overview(columns: int = 4) -> Figure:
     bare(axes[0], "maps")
 
     plot_map(one_map(), 0, axes[1])
-    bare(axes[1], "routes of BFS and A*")
+    bare(axes[1], "routes: BFS orange, A* blue")
 
     problem = hard_problems(("map", "start", "goal", "path", "cost_to_go"))[PICKED]
     plot_grid(problem.map[0], axes[2])
     shade(axes[2], np.asarray(problem.cost_to_go[0]), problem.map[0])
     shortest_path(axes[2], problem)
-    bare(axes[2], "cost to go, a shortest path")
+    bare(axes[2], "costs to go, a shortest path")
 
     prediction(axes[3], problem)
-    bare(axes[3], "a predicted path")
+    bare(axes[3], "a predicted path (purple)")
     return figure
 
 
