@@ -119,7 +119,7 @@ def colours_of(maps: Maps, i: int) -> Floats:
         return np.repeat(free, 3, axis=2)
     terrain = maps.terrain[i]
     shades = mpl.colormaps["YlOrBr"](terrain / terrain.max())[..., :3]
-    return np.where(terrain[..., None] > 0, 0.4 + 0.6 * shades, free)
+    return np.asarray(np.where(terrain[..., None] > 0, 0.4 + 0.6 * shades, free))
 
 
 def picture(name: str, index: int) -> Floats:
@@ -563,7 +563,7 @@ def samplers() -> Figure:
     height = np.inf
     for words, (x, y, colour) in sorted(last.items(), key=lambda entry: -entry[1][1]):
         height = min(y, height - 0.045)
-        line = {"arrowstyle": "-", "color": colour, "linewidth": 0.7}
+        line = {"arrowstyle": "-", "color": colour, "linewidth": 0.7, "relpos": (0, 0.5)}
         ax.annotate(words, (x, y), (2.32, height), va="center", fontsize="small", arrowprops=line)
     sizes = table["n"].unique()
     ax.set_xticks(np.arange(len(sizes)), [str(n) for n in sizes])

@@ -262,9 +262,11 @@ def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str 
     axes = axes or new_axes(size=(7, 5))[0]
     rows = table[table["subset"] == subset]
     colour = COLOURS["astar"]
+    marks: dict[str, tuple[float, float]] = {}
     for row in rows.to_dict("records"):
         x = row["expansion_ratio"]
         y = row["cost_ratio"]
+        marks[row["planner"]] = (x, y)
         axes.hlines(y, row["expansion_ratio_low"], row["expansion_ratio_high"], colour, linewidth=1)
         axes.vlines(x, row["cost_ratio_low"], row["cost_ratio_high"], colour, linewidth=1)
         axes.plot(x, y, "o", color=colour, fillstyle="none", mew=2, ms=8, label=row["planner"])
@@ -277,14 +279,18 @@ def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str 
         title=f"{subset} problems: {rows['n'].max()}",
     )
     axes.grid(alpha=0.3)
-    _name_marks(axes)
+    _name_marks(axes, marks)
     return axes
 
 
-def _name_marks(axes: Axes) -> None:
-    """Write the label of each mark beside it, where it covers no other label and no mark.
+def _name_marks(axes: Axes, marks: dict[str, tuple[float, float]]) -> None:
+    """Write the name of each mark beside it, where it covers no other name and no mark.
 
-    Where there is no room beside the mark, the label is farther away, at the end of a thin line.
+    Where there is no room beside the mark, the name is farther away, at the end of a thin line.
+
+    Args:
+        axes: with the marks.
+        marks: (x, y) of each name, in the units of the axes.
     """
     from matplotlib.text import Text
     from matplotlib.transforms import Bbox
@@ -292,16 +298,16 @@ def _name_marks(axes: Axes) -> None:
     figure: Any = axes.figure  # matplotlib's type hints also allow None here
     figure.draw_without_rendering()  # makes the layout, on which the sizes of texts depend
     points_to_pixels = figure.dpi / 72
-    lines = axes.get_lines()
-    marks = [axes.transData.transform((line.get_xdata()[0], line.get_ydata()[0])) for line in lines]
     radius = 6 * points_to_pixels
-    taken = [Bbox.from_extents(x - radius, y - radius, x + radius, y + radius) for x, y in marks]
-    for line in lines:
-        x, y = line.get_xdata()[0], line.get_ydata()[0]
+    taken = [
+        Bbox.from_extents(x - radius, y - radius, x + radius, y + radius)
+        for x, y in axes.transData.transform(list(marks.values()))
+    ]
+    for name, point in marks.items():
         for distance, (right, up) in product(_LABEL_DISTANCES, _LABEL_DIRECTIONS):
             label = axes.annotate(
-                line.get_label(),
-                (x, y),
+                name,
+                point,
                 (distance * right, distance * up),
                 textcoords="offset points",
                 ha=("center", "left", "right")[right],
@@ -315,8 +321,8 @@ def _name_marks(axes: Axes) -> None:
             if is_inside and not box.count_overlaps(taken):
                 break
             label.remove()
-        else:  # no room anywhere: the label may cover another one
-            label = axes.annotate(line.get_label(), (x, y), fontsize="small")
+        else:  # no room anywhere: the name may cover another one
+            label = axes.annotate(name, point, fontsize="small")
             label.get_window_extent()
         taken.append(Text.get_window_extent(label))
 

@@ -480,7 +480,8 @@ def test_the_figure_names_every_planner_beside_its_mark() -> None:
     axes = plot_planners(table, subset="all")
     rows = table[table["subset"] == "all"]
     marks = {
-        line.get_label(): (line.get_xdata()[0], line.get_ydata()[0]) for line in axes.get_lines()
+        line.get_label(): tuple(map(float, (*line.get_xdata(), *line.get_ydata())))  # type: ignore[misc]
+        for line in axes.get_lines()
     }
     measured = zip(rows["expansion_ratio"], rows["cost_ratio"], strict=True)
     assert marks == dict(zip(rows["planner"], measured, strict=True))
