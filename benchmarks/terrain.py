@@ -1,4 +1,6 @@
-"""Goal fields and A* on terrain beside scikit-image and pyastar2d: python -m benchmarks terrain.
+"""Goal fields and A* on terrain beside scikit-image and pyastar2d, drawing terrain, and pictures.
+
+Run it by python -m benchmarks terrain.
 
 scikit-image has our costs, where corners may be cut, and must find equal ones. pyastar2d charges
 the cost of the cell that a move enters, and its diagonals are no longer than its straight moves, so
@@ -8,6 +10,7 @@ that only its time is compared.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeAlias
 
@@ -16,7 +19,7 @@ import numpy.typing as npt
 
 import mapdata
 from benchmarks.measure import Peer, Row, each, interleaved, median_ratio, to_text
-from mapdata import Movement
+from mapdata import Movement, Terrain
 
 Bytes: TypeAlias = npt.NDArray[np.uint8]
 Cell: TypeAlias = tuple[int, int]
@@ -159,6 +162,79 @@ def rows_of(name: str, terrains: list[Bytes], rounds: int) -> list[Row]:
     ]
 
 
+@dataclass(frozen=True)
+class StoredMaps:
+    """Maps as `mapdata.Tiles` reads them from a batch."""
+
+    stored_terrain: Bytes
+    stored_grids: Bytes
+    map_numbers: npt.NDArray[np.int64]
+    symmetries: npt.NDArray[np.int64]
+
+
+def naive_pictures(terrain: Bytes, textures: Bytes, noise: int) -> Bytes:
+    """Return pictures that numpy draws from a bank: ``textures`` (costs, variants, 3, k, k)."""
+    source = np.random.default_rng(0)
+    variants = source.integers(0, textures.shape[1], terrain.shape)
+    tiles = textures[terrain, variants]  # (B, H, W, 3, k, k)
+    maps, rows, columns, _, pixels, _ = tiles.shape
+    pictures = tiles.transpose(0, 3, 1, 4, 2, 5).reshape(maps, 3, rows * pixels, columns * pixels)
+    if noise:
+        levels = source.standard_normal(pictures.shape, np.float32) * noise
+        pictures = np.clip(pictures + levels, 0, 255).astype(np.uint8)
+    return pictures
+
+
+def picture_rows(rounds: int) -> list[Row]:
+    """Return the rows of pictures: tiles of 8 x 8 pixels with and without noise."""
+    source = np.random.default_rng(0)
+    terrain = source.integers(1, 6, (8, SIDE, SIDE), np.uint8)
+    numbers = np.arange(len(terrain))
+    maps = StoredMaps(terrain, (terrain == 0).astype(np.uint8), numbers, np.zeros_like(numbers))
+    textures = source.integers(0, 256, (6, 1024, 3, 8, 8), np.uint8)
+    rows = []
+    for noise, target in ((0, ""), (10, "0.5 us")):
+        contestants: dict[str, Callable[[], object]] = {
+            "ours": partial(mapdata.Tiles(noise=noise), maps),
+            "numpy": partial(naive_pictures, terrain, textures, noise),
+        }
+        times = interleaved(contestants, rounds)
+        rows.append(
+            Row(
+                f"a tile of 8 x 8 pixels, {'noise' if noise else 'no noise'}",
+                each(times["ours"], terrain.size),
+                each(times["numpy"], terrain.size),
+                f"{median_ratio(times['numpy'], times['ours']):,.1f}x",
+                target,
+                "numpy: the tiles of 1,024 random textures, and normal noise",
+            )
+        )
+    return rows
+
+
+def drawing_rows(rounds: int) -> list[Row]:
+    """Return the rows of drawing maps of terrain, in batches on one core."""
+    indices = np.arange(1000)
+    generators: dict[str, Terrain] = {
+        "preset terrain": Terrain.preset("terrain"),
+        "the same with corners": replace(Terrain.preset("terrain"), corners=True),
+        "preset tiles, 12 x 12": Terrain.preset("tiles"),
+    }
+    contestants: dict[str, Callable[[], object]] = {
+        name: partial(generator.draw, 0, indices) for name, generator in generators.items()
+    }
+    times = interleaved(contestants, rounds)
+    notes = {
+        name: f"{generator.max_seed_points} seed points" for name, generator in generators.items()
+    }
+    return [
+        Row(
+            f"draw a map, {name}", each(times[name], len(indices)), target="50 us", note=notes[name]
+        )
+        for name in generators
+    ]
+
+
 def table(quick: bool, parent: str | None = None) -> str:
     """Measure, and return the table; nothing is written."""
     rounds = 3 if quick else 9
@@ -166,6 +242,8 @@ def table(quick: bool, parent: str | None = None) -> str:
     rows = [
         row for name, terrains in maps_of(count).items() for row in rows_of(name, terrains, rounds)
     ]
+    rows += picture_rows(rounds)
+    rows += drawing_rows(rounds)
     notes = (
         f"medians of {rounds} repeats, the contestants taking turns; one thread; a ratio is the "
         "median of the repeats'",

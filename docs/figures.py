@@ -601,6 +601,25 @@ def roadmaps() -> Figure:
     return figure
 
 
+def images() -> Figure:
+    """Show a map of the preset tiles, its picture, and its picture with alike tiles."""
+    dataset = OnlineMapDataset("tiles", 0, length=20, fields=("terrain", "image"))
+    alike = OnlineMapDataset("tiles", 0, length=20, fields=(Tiles(alike=True),))
+    sample: Any = dataset[PICKED]
+    alike_sample: Any = alike[PICKED]
+    figure, axes = new_figure(1, 3, (8.4, 3.1))
+    plot_grid(sample.terrain[0] == 0, axes[0])
+    shade(axes[0], np.asarray(sample.terrain[0]), sample.terrain[0] == 0)
+    bare(axes[0], "terrain")
+    for ax, image, title in (
+        (axes[1], sample.image, "image"),
+        (axes[2], alike_sample.image, "Tiles(alike=True)"),
+    ):
+        ax.imshow(image.permute(1, 2, 0), interpolation="nearest")
+        bare(ax, title)
+    return figure
+
+
 FIGURES: dict[str, Callable[..., Figure]] = {
     "overview": overview,
     "batch": batch,
@@ -621,6 +640,7 @@ FIGURES: dict[str, Callable[..., Figure]] = {
     "planners": planners,
     "samplers": samplers,
     "roadmaps": roadmaps,
+    "images": images,
 }
 NAMES = [*FIGURES, "report"]
 FOR_PHONES = {"overview": 2, "families": 3, "presets": 4, "predictions": 2, "fields": 2}

@@ -2,6 +2,7 @@
 
 - ``path_predictor.py``: a CNN that predicts the moves of shortest paths.
 - ``neural_astar.py``: Neural A* in one file.
+- ``cost_predictor.py``: a CNN that reads the costs of terrain from images, taught by paths.
 - ``learned_planners.py``: planners that search with the predictions of a network.
 - ``lego/``: a sampler that learns where a roadmap needs its vertices.
 
@@ -32,6 +33,7 @@ if __name__ != "mapdata.models":
     raise ImportError(f"{__name__}: this folder is imported as mapdata.models, and as nothing else")
 
 if TYPE_CHECKING:
+    from .cost_predictor import CostPredictor as CostPredictor
     from .learned_planners import GuidedSearch as GuidedSearch
     from .learned_planners import LearnedPlanner as LearnedPlanner
     from .learned_planners import planners as planners
@@ -47,6 +49,7 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "CVAE": "lego.cvae",
+    "CostPredictor": "cost_predictor",
     "GuidedSearch": "learned_planners",
     "Heatmap": "lego.sampler",
     "LearnedPlanner": "learned_planners",

@@ -110,7 +110,7 @@ def evaluate_planners(
     problems = load_problems(root, preset, seed, maps, until_hard=until_hard, movement=movement)
     if save is not None:
         problems.save(save)
-    rows = evaluation.classical(problems.movement)
+    rows = evaluation.classical(problems.movement, terrain=problems.terrain is not None)
     model: PathPredictor | NeuralAstar | None = None
     if weights is not None:
         model = load_weights(weights)

@@ -219,6 +219,8 @@ def add_flag(
     elif origin is Literal:
         choices = get_args(annotation)
         settings = {"type": type(choices[0]), "choices": choices}
+    elif origin is dict:
+        settings = {"type": _json_object, "metavar": "JSON"}
     elif origin is tuple:
         settings = {"type": _map_size, "metavar": "HxW"}
     else:
@@ -313,6 +315,19 @@ def _map_size(text: str) -> tuple[int, int]:
     if match is None:
         raise argparse.ArgumentTypeError(f"got {text!r}, expected ROWSxCOLUMNS as in 64x64")
     return int(match[1]), int(match[2])
+
+
+def _json_object(text: str) -> dict[str, Any]:
+    """Return the mapping of a text such as {"S": 3}."""
+    import json
+
+    try:
+        mapping = json.loads(text)
+    except ValueError:
+        mapping = None
+    if not isinstance(mapping, dict):
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected JSON such as '{{\"S\": 3}}'")
+    return mapping
 
 
 def run_parsed(command: Command, arguments: list[str] | None = None, **defaults: object) -> None:

@@ -36,6 +36,7 @@ def import_command(
       mapdata import plans/ data/plans --seed-points 6
       mapdata import map.yaml data/site --tile 64x64 --ros.unknown occupied
       mapdata import maze.map data/maze --format movingai --connectivity 8
+      mapdata import warcraft/12x12 data/warcraft
 
     Args:
         src: file or folder

@@ -37,12 +37,13 @@ def export_command(
 
     Formats of problems: arrays (one .npy for each split and field), parquet (one row for each
     problem, for Hugging Face datasets), maze-hard (text), and the files that the loaders of
-    transpath, gppn, vin and hrm (also TRM) read. Formats of maps: paper, movingai, ros and
-    planning-datasets.
+    transpath, gppn, vin, hrm (also TRM) and warcraft (also PyEPO) read. Formats of maps: paper,
+    movingai, ros and planning-datasets. Maps with terrain go to arrays, parquet and warcraft.
 
     Examples:
       mapdata export maze data/hrm --format hrm --length 111: --count 1000
       mapdata export dungeon data/set --format arrays --problems random --count 10000
+      mapdata export tiles data/tiles --format warcraft --count 1000
       mapdata export data/maps data/hub --format parquet --licence cc-by-4.0
       mapdata export data/maps release --format paper
 

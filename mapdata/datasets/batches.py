@@ -185,14 +185,14 @@ def read_maps(table: Ints, shards: Ints, maps: Ints, grids: Bytes) -> None:
 @kernel
 def read_terrain(table: Ints, shards: Ints, maps: Ints, terrain: Bytes) -> None:
     """Copy the costs of map ``maps[b]`` of shard ``shards[b]`` into ``terrain[b]``, (B, H, W)."""
-    rows, columns = terrain.shape[1:]
+    cells_per_map = terrain.shape[1] * terrain.shape[2]
     for b in range(len(shards)):
         costs = _array(table[shards[b], _TERRAIN], np.uint8)
-        cell = maps[b] * rows * columns
-        for row in range(rows):
-            for column in range(columns):
-                terrain[b, row, column] = costs[cell]
-                cell += 1
+        first_cell = maps[b] * cells_per_map
+        cells = terrain[b].reshape(-1)
+        for k in range(cells_per_map):
+            # Unsigned indices spare numba the test for negative ones.
+            cells[np.uint64(k)] = costs[np.uint64(first_cell + k)]
 
 
 @kernel
@@ -323,7 +323,7 @@ def read_rooms(
     straight_column: Int,
     has_diagonals: Int,
     diagonal_cost: float,
-    cost_unit: float,
+    is_doubled: Int,
     max_rooms: Int,
 ) -> tuple[Float32s, Ints]:
     """Read the connection matrices and seed points of maps.
@@ -335,8 +335,7 @@ def read_rooms(
         straight_column: the column of the search's straight moves.
         has_diagonals: whether diagonal moves are stored beside the straight ones.
         diagonal_cost: cost of a diagonal move.
-        cost_unit: cost in cells of a stored straight move: 1, or 0.5 for the doubled costs of A* on
-            terrain.
+        is_doubled: whether the stored costs are doubled, as those of A* on terrain are.
         max_rooms: R, rooms in a matrix.
 
     Returns:
@@ -359,10 +358,10 @@ def read_rooms(
             matrices[b, i, i] = 0
             for j in range(i + 1, room_count):
                 cost = float(straight_moves[pair])  # -1 without a connection
-                if cost >= 0:
-                    if has_diagonals:
-                        cost += diagonal_moves[pair] * diagonal_cost
-                    cost *= cost_unit
+                if has_diagonals and cost >= 0:
+                    cost += diagonal_moves[pair] * diagonal_cost
+                if is_doubled and cost >= 0:
+                    cost /= 2
                 matrices[b, i, j] = cost
                 matrices[b, j, i] = cost
                 pair += 1
@@ -682,7 +681,7 @@ class BatchReader:
             SEARCH_COLUMNS[search].straight,
             search == "astar" and self.movement.connectivity == 8,
             self.movement.diagonal_cost,
-            0.5 if search == "astar" and self.has_terrain else 1.0,
+            search == "astar" and self.has_terrain,
             self.max_seed_points,
         )
         return Rooms(matrices, seed_points)

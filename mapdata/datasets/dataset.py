@@ -44,7 +44,7 @@ from mapdata.datasets.fields import (
 from mapdata.datasets.info import DatasetInfo, field_infos
 from mapdata.datasets.sample import Rows, Sample, cast, row, sample_class, stack
 from mapdata.datasets.tiles import Tiles
-from mapdata.generators.generator import UnknownFamily
+from mapdata.generators.generator import unknown_family
 from mapdata.generators.recipe import Recipe
 from mapdata.limits import SPLITS, Size
 from mapdata.movement import Movement
@@ -113,11 +113,12 @@ class SampledProblems(NamedTuple):
         """
         self.grids[rows] = replacements.grids
         self.ends[rows] = replacements.ends
-        # Without inflation the stored grids are those above.
-        arrays = zip(self.stored_maps, replacements.stored_maps, strict=True)
-        for array, new_rows in arrays:
-            if array is not None:
-                array[rows] = new_rows
+        stored_maps = self.stored_maps
+        new_maps = replacements.stored_maps
+        stored_maps.numbers[rows] = new_maps.numbers
+        stored_maps.grids[rows] = new_maps.grids  # without inflation these are the grids above
+        if stored_maps.terrain is not None and new_maps.terrain is not None:
+            stored_maps.terrain[rows] = new_maps.terrain
         if self.paths is None or replacements.paths is None:
             return self
         return self._replace(paths=self.paths.with_rows(rows, replacements.paths))
@@ -257,8 +258,8 @@ class ProblemDataset(Dataset[Sample], ABC):
         """Draw a problem: its map, start S, goal G and path, whichever fields are served.
 
         The first dense field among the served ones, such as ``cost_to_go``, is drawn as a shade;
-        without one, the costs of the terrain if the maps have any. A ``transform`` is not applied. ``dataset.plot(0).figure.savefig("map.png")`` writes a
-        picture.
+        without one, the costs of the terrain if the maps have any. A ``transform`` is not applied.
+        ``dataset.plot(0).figure.savefig("map.png")`` writes a picture.
 
         Args:
             index: which problem, or up to 9 of several for a grid of them.
@@ -637,7 +638,7 @@ class MapDataset(SampledProblemDataset):
             generator = manifest.generator
             recipe = None
             # `Recipe` refuses a generator whose family is not registered here.
-            is_registered = not isinstance(generator, UnknownFamily)
+            is_registered = unknown_family(generator) is None
             if generator is not None and is_registered and manifest.seed is not None:
                 recipe = Recipe(generator, manifest.seed, manifest.maps, manifest.content_hash)
             recipes.append(recipe)
@@ -653,6 +654,7 @@ class MapDataset(SampledProblemDataset):
             map_size=self.map_size,
             resolution=resolutions.pop() if len(resolutions) == 1 else None,
             movement=self.movement,
+            has_terrain=self.has_terrain,
             fields=field_infos(self._load(np.array([0]), 0)) if len(self) else None,
         )
 

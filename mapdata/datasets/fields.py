@@ -194,12 +194,14 @@ class Batch:
     def min_cell_costs(self) -> Ints | None:
         """(B,) int64, the smallest cost of a free cell of each map; None without terrain.
 
-        The heuristic of A* is multiplied by it. It is 255 on a map without free cells.
+        The heuristic of A* is multiplied by it. It is 256 on a map without free cells.
         """
         if self.terrain is None:
             return None
-        costs = np.where(self.terrain > 0, self.terrain, np.uint8(255))
-        min_costs: Ints = costs.min(axis=(1, 2)).astype(np.int64)
+        # As unsigned bytes, 0 - 1 is 255, so occupied cells are never the smallest. This takes a
+        # twentieth of the time of selecting the free cells.
+        costs_less_one = (self.terrain - np.uint8(1)).reshape(len(self.terrain), -1)
+        min_costs: Ints = costs_less_one.min(axis=1).astype(np.int64) + 1
         return min_costs
 
     def _after_symmetries(self, grids: Bytes) -> Bytes:
@@ -298,8 +300,8 @@ def cost(batch: Batch) -> Float32s:
 def hardness(batch: Batch) -> Float32s:
     """``hardness``: (B,) float32, optimal cost over heuristic.
 
-    1 when start = goal, -1 without a path. On terrain the heuristic is that of a map whose cells all
-    have the smallest cost of a free cell.
+    1 when start = goal, -1 without a path. On terrain the heuristic is that of a map whose cells
+    all have the smallest cost of a free cell.
     """
     optimal_costs = batch.costs
     # With diagonal moves and on terrain the number of moves, which BFS minimizes, is not the cost.

@@ -45,6 +45,8 @@ class DatasetInfo:
         resolution: metres per cell; None for roots of several resolutions, and for a `ProblemSet`,
             which does not know it.
         movement: movement of the served paths.
+        has_terrain: whether free cells cost different amounts, so that the field ``terrain`` holds
+            more than ones.
         fields: shape and dtype of each served field; None for a dataset without problems.
     """
 
@@ -57,6 +59,7 @@ class DatasetInfo:
     map_size: Size
     resolution: float | None
     movement: Movement
+    has_terrain: bool
     fields: dict[str, FieldInfo] | None
 
     def __repr__(self) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from mapdata.arrays import Bytes, Ints
+from mapdata.arrays import Ints
 from mapdata.checks import check_count
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving, Transform
 from mapdata.datasets.dataset import SampledProblemDataset, SampledProblems
@@ -135,6 +135,7 @@ class OnlineMapDataset(SampledProblemDataset):
             map_size=self.map_size,
             resolution=self.generator.resolution,
             movement=self.movement,
+            has_terrain=self.has_terrain,
             fields=field_infos(self._load(np.array([0]), 0)),
         )
 

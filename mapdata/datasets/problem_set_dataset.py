@@ -117,6 +117,7 @@ class ProblemSetDataset(ProblemDataset):
             map_size=self.map_size,
             resolution=None,
             movement=self.movement,
+            has_terrain=self.has_terrain,
             fields=field_infos(self._load(np.array([0]), 0)) if len(self) else None,
         )
 
@@ -130,8 +131,8 @@ class ProblemSetDataset(ProblemDataset):
 
         def compute_rooms() -> Rooms:
             seed_points = np.stack((starts, goals), axis=1)
-            if search == "astar" and stored_maps.terrain is not None:
-                numbers, _, terrain = stored_maps
+            numbers, _, terrain = stored_maps
+            if search == "astar" and terrain is not None:
                 matrices = terrain_room_matrices(numbers, terrain, seed_points, self.movement)
             else:
                 matrices = room_matrices(search, grids, seed_points, self.movement)

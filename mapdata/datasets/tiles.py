@@ -44,6 +44,13 @@ TEXTURES = 1024
 _TILE, _NOISE_RUN, _TEXTURE, _TINT, _NOISE = range(5)
 """The epochs of random words: each purpose has words of its own."""
 
+_BLOBS, _SPECKLES, _COARSE_CHECKS, _COARSE_STRIPES, _FINE_CHECKS, _FINE_STRIPES = range(6)
+_COARSE_DIAGONALS, _FINE_DIAGONALS, _COARSE_DIAMONDS, _OBLIQUES, _FINE_DIAMONDS = range(6, 11)
+"""The patterns by their digits. Stripes run along an axis, obliques between axis and diagonal.
+
+Diamonds are checks that stand on a corner.
+"""
+
 _BASE = 11
 """Base of the digits of a cost, and number of patterns."""
 
@@ -54,8 +61,7 @@ _FINE = (40, 48)
 _COARSE = (72, 88)
 """Shortest and longest period of fine and of coarse patterns, in units."""
 
-_FINE_PATTERNS = (4, 5, 7, 9, 10)
-"""The digits of the fine patterns."""
+_FINE_PATTERNS = (_FINE_CHECKS, _FINE_STRIPES, _FINE_DIAGONALS, _OBLIQUES, _FINE_DIAMONDS)
 
 _MAX_PHASE = 1023
 """Highest phase of a pattern, in units; it is many periods, so that all phases occur as often."""
@@ -127,19 +133,19 @@ def _height(digit: Int, u: Int, v: Int, period: Int, offset: Int, lattice: Ints)
     # same period.
     diagonal = (u + v) * 5 // 7
     antidiagonal = (u - v) * 5 // 7 + offset
-    if digit in (3, 5):  # stripes along an axis
+    if digit in (_COARSE_STRIPES, _FINE_STRIPES):
         return _wave(u, period)
-    if digit in (6, 7):  # diagonal stripes
+    if digit in (_COARSE_DIAGONALS, _FINE_DIAGONALS):
         return _wave(diagonal, period)
-    if digit == 9:  # stripes between an axis and a diagonal
+    if digit == _OBLIQUES:
         return _wave((2 * u + v) * 4 // 9, period)
-    if digit in (2, 4):  # checks
+    if digit in (_COARSE_CHECKS, _FINE_CHECKS):
         product = (_wave(u, period) - 128) * (_wave(v + offset, period) - 128)
         return 128 + product // 128
-    if digit in (8, 10):  # checks that stand on a corner
+    if digit in (_COARSE_DIAMONDS, _FINE_DIAMONDS):
         product = (_wave(diagonal, period) - 128) * (_wave(antidiagonal, period) - 128)
         return 128 + product // 128
-    if digit == 1:  # speckles
+    if digit == _SPECKLES:
         return lattice[(u // 16) % _LATTICE * _LATTICE + (v // 16) % _LATTICE]
     # Blobs: random heights, a period apart, and linear in between.
     row, down = divmod(u, period)
@@ -195,7 +201,7 @@ def _draw_heights(seed: np.uint64, cost: Int, pixels: Int) -> Ints:
             phase = bounded(words[1], 0, _MAX_PHASE)
             offset = bounded(words[2], 0, _MAX_PHASE)
             direction = bounded(words[3], 0, 7)
-            grain_height = _GRAIN_OF_BLOBS if digit == 0 else _GRAIN
+            grain_height = _GRAIN_OF_BLOBS if digit == _BLOBS else _GRAIN
             number = _draw_bytes(seed, index, _TEXTURE, number + 1, lattice)
             number = _draw_bytes(seed, index, _TEXTURE, number, grain)
             for row in range(pixels):
@@ -424,8 +430,8 @@ def _add_noise(
         noise = noise_bank[run + x] + noise_bank[other_run + x]
         # Halves are rounded away from 0, so that the mean of the noise is 0.
         sign = noise >> np.int16(15)
-        levels = (noise + sign + np.int16(_NOISE_UNIT // 2)) // np.int16(_NOISE_UNIT)
-        level = np.int16(line[x]) + levels
+        grey_levels = (noise + sign + np.int16(_NOISE_UNIT // 2)) // np.int16(_NOISE_UNIT)
+        level = np.int16(line[x]) + grey_levels
         line[x] = min(max(level, np.int16(0)), np.int16(255))
 
 
@@ -450,8 +456,8 @@ def draw_tiles(
     return pictures
 
 
-class StoredMaps(Protocol):
-    """What `Tiles` needs of a `Batch`; see there."""
+class PicturedBatch(Protocol):
+    """What `Tiles` needs of a `Batch`, which describes it."""
 
     @property
     def stored_terrain(self) -> Bytes | None:
@@ -519,7 +525,7 @@ class Tiles:
         object.__setattr__(self, "noise", noise)
         object.__setattr__(self, "seed", check_seed(self.seed))
 
-    def __call__(self, batch: StoredMaps) -> Bytes:
+    def __call__(self, batch: PicturedBatch) -> Bytes:
         """Return the pictures, (B, 3, pixels * H, pixels * W) uint8."""
         terrain = batch.stored_terrain
         if terrain is None:

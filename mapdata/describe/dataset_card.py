@@ -219,7 +219,6 @@ def _rebuild_section(name: str, manifest: Manifest, generator: MapGenerator) -> 
 
     ``generator`` is that of the manifest.
     """
-    module = type(generator).__module__
     text = (
         "Map i is a pure function of the spec, the seed and i, so these lines make the same maps "
         "and labels, bit for bit, on any machine; the command says whether the content hash agrees."
@@ -227,11 +226,13 @@ def _rebuild_section(name: str, manifest: Manifest, generator: MapGenerator) -> 
     command = f"mapdata build {shlex.quote(name)} --recipe recipe.json"
     if manifest.shard_size != 1000:
         command += f" --shard-size {manifest.shard_size}"
-    if isinstance(generator, UnknownFamily) or module == "__main__":
-        text += f" The command needs --import with the module of the family {generator.name}."
-    elif not module.startswith("mapdata."):
-        command += f" --import {module}"
-        text += f" The module {module} has the family {generator.name}."
+    for part in (generator, *generator.inner_generators):
+        module = type(part).__module__
+        if isinstance(part, UnknownFamily) or module == "__main__":
+            text += f" The command needs --import with the module of the family {part.name}."
+        elif not module.startswith("mapdata."):
+            command += f" --import {module}"
+            text += f" The module {module} has the family {part.name}."
     lines = ("cat > recipe.json <<'END'", manifest.recipe(), "END", command)
     return Section("Make it again", text, code="\n".join(lines), language="sh")
 

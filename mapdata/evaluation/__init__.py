@@ -2,11 +2,13 @@
 
 from mapdata.evaluation.metrics import (
     METRICS,
+    TERRAIN_METRICS,
     BatchPlanner,
     Plan,
     Planner,
     confidence_intervals,
     evaluate,
+    score_paths,
     to_text,
     with_interval,
 )
@@ -22,6 +24,7 @@ from mapdata.evaluation.planners import (
 
 __all__ = [
     "METRICS",
+    "TERRAIN_METRICS",
     "BatchPlanner",
     "Batched",
     "BestFirst",
@@ -34,6 +37,7 @@ __all__ = [
     "classical",
     "confidence_intervals",
     "evaluate",
+    "score_paths",
     "to_text",
     "with_interval",
 ]

@@ -6,6 +6,7 @@ TransPath: Kirilenko et al., AAAI 2023, https://arxiv.org/abs/2212.11730.
 
 from __future__ import annotations
 
+import inspect
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -18,11 +19,14 @@ from mapdata.arrays import Bytes, Floats, Ints, summary
 from mapdata.checks import check_choice, check_count
 from mapdata.limits import Cell
 from mapdata.problems.problem_set import ProblemSet
-from mapdata.search.api import check_path
+from mapdata.search.api import BatchResult, check_path
 from mapdata.search.lattice import HARD
 
 METRICS = ("success", "opt", "cost_ratio", "expansion_ratio", "p_exp", "hmean")
 """Columns of the table that have an interval, from ``<name>_low`` to ``<name>_high``."""
+
+TERRAIN_METRICS = (*METRICS, "regret")
+"""The same for problems on terrain."""
 
 _BATCH = 64
 """Number of problems in a call of ``plan_batch``."""
@@ -51,7 +55,12 @@ class Plan(NamedTuple):
 
 
 class Planner(Protocol):
-    """Anything that plans a path on a grid."""
+    """Anything that plans a path on a grid.
+
+    A planner takes terrain if its `plan_batch`, or its `plan` if it has no `plan_batch`, has a
+    parameter ``terrain``: the costs of the cells, uint8 of the shape of the grid or grids, 0 where
+    they are occupied. `evaluate` passes it by name, and only where problems have terrain.
+    """
 
     @property
     def name(self) -> str:
@@ -87,22 +96,29 @@ def evaluate(
     - ``planner``; ``subset``, "all" or "hard" (hardness at least ``HARD``); ``n``, the number of
       problems in it.
     - ``success``: share of problems solved.
-    - ``opt``: share of problems solved with L = L* (Neural A*'s Opt).
+    - ``opt``: share of problems solved with L = L* (Neural A*'s Opt). Costs are compared exactly,
+      and any path of this cost counts.
     - ``cost_ratio``: mean L / L* over the solved problems (TransPath), NaN if none is solved.
     - ``expansion_ratio``: mean E / E* (TransPath), over all problems, including the expansions of
       failures.
     - ``p_exp``: mean max(0, 1 - E / E*) (Neural A*'s Exp), over all problems.
     - ``hmean``: harmonic mean of ``opt`` and ``p_exp`` (Neural A*'s Hmean), 0 if both are 0.
+    - ``regret``, on terrain only: mean L / L* - 1 over the solved problems.
     - ``prepared_ratio`` and ``look_ratio``: mean of `Plan.prepared` / E* and of `Plan.looks` / E*,
       over all problems. No other column counts these cells: the three ratios show what a planner
       does instead of expansions.
-    - ``<name>_low``, ``<name>_high`` of the six before: 95 % percentile interval over resampled
-      problems, with the same resamples for all planners.
+    - ``<name>_low``, ``<name>_high`` of the six (on terrain, seven) metrics: 95 % percentile
+      interval over resampled problems, with the same resamples for all planners.
     - ``ms``: mean milliseconds of a call of `plan`, which solves one problem.
     - ``ms_batched``: mean milliseconds a problem in calls of `plan_batch` with 64 problems; NaN for
       a planner without it. It is of all problems in both rows.
 
     The first call of each planner is not timed. All columns but ``ms_batched`` are of `plan`.
+
+    On terrain, L is the cost on the true terrain. A `Planner` that takes terrain is told it; any
+    other one plans on the grid alone, as if all free cells cost the same. Nearly all problems on
+    terrain are hard, so that its two rows are nearly the same. `score_paths` scores paths that were
+    planned on predicted costs.
 
     A subset without problems has n = 0 and NaN elsewhere.
 
@@ -131,24 +147,58 @@ def evaluate(
     reference_expansions: Floats | Ints = problems.optimal.iterations
     if baseline is not None:
         reference_expansions = runs[names.index(baseline)].expansions
-    outcomes = np.stack([_outcomes(run, problems, reference_expansions) for run in runs], axis=1)
-    rows = []
-    for subset, mask in (("all", np.ones(len(problems), bool)), ("hard", problems.hard)):
-        metrics, lows, highs = confidence_intervals(outcomes[mask], _metrics, bootstrap, seed)
-        for k, run in enumerate(runs):
-            row: dict[str, object] = {"planner": names[k], "subset": subset, "n": mask.sum()}
-            for m, name in enumerate(METRICS):
-                row[name] = metrics[k, m]
-            for name, counts in (("prepared_ratio", run.prepared), ("look_ratio", run.looks)):
-                ratios = counts[mask] / reference_expansions[mask]
-                row[name] = ratios.mean() if mask.any() else np.nan
-            row["ms"] = run.ms[mask].mean() if mask.any() else np.nan
-            row["ms_batched"] = run.ms_batched
-            for m, name in enumerate(METRICS):
-                row[f"{name}_low"] = lows[k, m]
-                row[f"{name}_high"] = highs[k, m]
-            rows.append(row)
-    return pd.DataFrame(rows)
+    return _table(names, runs, problems, reference_expansions, bootstrap, seed)
+
+
+def score_paths(
+    problems: ProblemSet,
+    paths: BatchResult | Sequence[npt.ArrayLike],
+    *,
+    name: str = "paths",
+    bootstrap: int = 1000,
+    seed: int = 0,
+) -> pd.DataFrame:
+    """Return the rows of `evaluate` for paths that are already planned.
+
+    This is how costs that a model predicts from an image are scored: search on the predicted
+    terrain, and score the paths on the true one. The rows can be joined with those of `evaluate` on
+    the same problems by `pandas.concat`; with the same ``seed`` the resamples are the same.
+
+    Args:
+        problems: the problems.
+        paths: what `mapdata.search_batch` returned for the problems, whose expansions count; or a
+            path for each problem, (k, 2) cells or empty, whose columns of expansions are NaN.
+        name: name of the rows.
+        bootstrap: number of resamples.
+        seed: of the resamples.
+
+    Raises:
+        ValueError: no problem, no resample, or another number of paths than of problems.
+
+    >>> import numpy as np
+    >>> from mapdata import Movement, search_batch
+    >>> movement = Movement(8, corner_cutting=True, diagonal_cost=1)
+    >>> problems = ProblemSet.sample("tiles", maps=20, movement=movement, problems="route")
+    >>> ends = problems.starts, problems.goals
+    >>> predicted = np.full_like(problems.terrain, 50)  # a model that knows the mean cost alone
+    >>> paths = search_batch("astar", problems.grids, *ends, movement, terrain=predicted)
+    >>> bool(score_paths(problems, paths).regret[0] > 0.2)
+    True
+    """
+    if not len(problems):
+        raise ValueError("problems: got none, expected at least one")
+    check_count("bootstrap", bootstrap)
+    expansions = np.full(len(problems), np.nan)
+    if isinstance(paths, BatchResult):
+        expansions = paths.iterations.astype(np.float64)
+        ends = zip(paths.offsets[:-1], paths.offsets[1:], strict=True)
+        paths = [paths.cells[first:end] for first, end in ends]
+    if len(paths) != len(problems):
+        raise ValueError(f"paths: got {len(paths)}, expected one for each of {len(problems)}")
+    costs = np.array([_cost(path, problems, k) for k, path in enumerate(paths)])
+    unknown = np.full(len(problems), np.nan)
+    run = _Run(costs, expansions, unknown, unknown, unknown, np.nan)
+    return _table([name], [run], problems, problems.optimal.iterations, bootstrap, seed)
 
 
 def confidence_intervals(
@@ -185,13 +235,18 @@ def confidence_intervals(
 def to_text(table: pd.DataFrame) -> str:
     """Return a table of `evaluate` as text: a block of all problems, and a block of the hard ones.
 
-    Each metric is followed by half the width of its interval.
+    Each metric is followed by half the width of its interval. On terrain the second block is left
+    out if all problems are hard, because it would repeat the first one.
     """
     blocks = []
+    if "regret" in table and table["n"].nunique() == 1:
+        table = table[table["subset"] == "all"]
     for subset, rows in table.groupby("subset", sort=False):
         text = pd.DataFrame({"planner": rows["planner"]})
         for metric in METRICS:
             text[metric] = with_interval(rows, metric)
+        if "regret" in rows:
+            text["regret"] = with_interval(rows, "regret", decimals=5)
         for name in ("prepared_ratio", "look_ratio", "ms", "ms_batched"):
             text[name] = rows[name].map("{:.3f}".format)
         heading = f"{subset}: {rows['n'].iloc[0]} problems"
@@ -201,10 +256,11 @@ def to_text(table: pd.DataFrame) -> str:
     return "\n\n".join(blocks)
 
 
-def with_interval(rows: pd.DataFrame, metric: str) -> pd.Series[str]:
+def with_interval(rows: pd.DataFrame, metric: str, decimals: int = 3) -> pd.Series[str]:
     """Return a metric of each row as text, followed by half the width of its interval."""
     half_width = (rows[f"{metric}_high"] - rows[f"{metric}_low"]) / 2
-    return rows[metric].map("{:.3f}".format) + half_width.map(" ±{:.3f}".format)
+    number = f"{{:.{decimals}f}}"
+    return rows[metric].map(number.format) + half_width.map(f" ±{number}".format)
 
 
 class _Run(NamedTuple):
@@ -227,6 +283,57 @@ class _Run(NamedTuple):
     ms_batched: float
 
 
+def _table(
+    names: Sequence[str],
+    runs: Sequence[_Run],
+    problems: ProblemSet,
+    reference_expansions: Floats | Ints,
+    bootstrap: int,
+    seed: int,
+) -> pd.DataFrame:
+    """Return the table of `evaluate` for the measurements of each planner.
+
+    ``reference_expansions``, (N,), are E*.
+    """
+    outcomes = np.stack([_outcomes(run, problems, reference_expansions) for run in runs], axis=1)
+    metric_names = METRICS if problems.terrain is None else TERRAIN_METRICS
+    rows = []
+    for subset, mask in (("all", np.ones(len(problems), bool)), ("hard", problems.hard)):
+        intervals = confidence_intervals(outcomes[mask], _metrics, bootstrap, seed)
+        regret = intervals[..., [METRICS.index("cost_ratio")]] - 1
+        metrics, lows, highs = np.concatenate([intervals, regret], axis=-1)
+        for k, run in enumerate(runs):
+            row: dict[str, object] = {"planner": names[k], "subset": subset, "n": mask.sum()}
+            for m, name in enumerate(metric_names):
+                row[name] = metrics[k, m]
+            for name, counts in (("prepared_ratio", run.prepared), ("look_ratio", run.looks)):
+                ratios = counts[mask] / reference_expansions[mask]
+                row[name] = ratios.mean() if mask.any() else np.nan
+            row["ms"] = run.ms[mask].mean() if mask.any() else np.nan
+            row["ms_batched"] = run.ms_batched
+            for m, name in enumerate(metric_names):
+                row[f"{name}_low"] = lows[k, m]
+                row[f"{name}_high"] = highs[k, m]
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _takes_terrain(planner: Planner) -> bool:
+    """Return whether a planner takes terrain, as `Planner` defines it."""
+    method = planner.plan_batch if isinstance(planner, BatchPlanner) else planner.plan
+    return "terrain" in inspect.signature(method).parameters
+
+
+def _terrain_argument(planner: Planner, problems: ProblemSet, rows: int | slice) -> dict[str, Any]:
+    """Return the terrain of some problems as an argument by name; none if it is not to be passed.
+
+    The terrain is a copy, since a planner may write to it.
+    """
+    if problems.terrain is None or not _takes_terrain(planner):
+        return {}
+    return {"terrain": problems.terrain[rows].copy()}
+
+
 def _run(planner: Planner, problems: ProblemSet) -> _Run:
     """Solve all problems with a planner, check its paths and measure its times."""
     costs = np.empty(len(problems))
@@ -240,10 +347,11 @@ def _run(planner: Planner, problems: ProblemSet) -> _Run:
         start = tuple(problems.starts[k].tolist())
         goal = tuple(problems.goals[k].tolist())
         grid = problems.grids[k].copy()  # a planner may write to it
+        terrain = _terrain_argument(planner, problems, k)
         began = time.perf_counter()
-        plan = planner.plan(grid, start, goal)
+        plan = planner.plan(grid, start, goal, **terrain)
         ms[k] = 1000 * (time.perf_counter() - began)
-        costs[k] = _cost(plan, problems, k)
+        costs[k] = _cost(plan.path, problems, k)
         expansions[k] = plan.expansions
         prepared[k] = plan.prepared
         looks[k] = plan.expansions if plan.looks is None else plan.looks
@@ -286,8 +394,9 @@ def _mean_batched_ms(planner: BatchPlanner, problems: ProblemSet) -> float:
         grids = problems.grids[batch].copy()
         starts = problems.starts[batch].copy()
         goals = problems.goals[batch].copy()
+        terrain = _terrain_argument(planner, problems, batch)
         began = time.perf_counter()
-        plans = planner.plan_batch(grids, starts, goals)
+        plans = planner.plan_batch(grids, starts, goals, **terrain)
         seconds.append(time.perf_counter() - began)
         if len(plans) != len(starts):
             raise ValueError(
@@ -296,15 +405,16 @@ def _mean_batched_ms(planner: BatchPlanner, problems: ProblemSet) -> float:
     return 1000 * sum(seconds[1:]) / len(problems)
 
 
-def _cost(plan: Plan, problems: ProblemSet, k: int) -> float:
-    """Return the cost of a plan's path, NaN if it does not solve problem ``k``."""
-    path = np.asarray(plan.path)
+def _cost(path: npt.ArrayLike, problems: ProblemSet, k: int) -> float:
+    """Return the cost of ``path``, NaN if it does not solve problem ``k``."""
+    terrain = None if problems.terrain is None else problems.terrain[k]
     try:
-        cost = check_path(problems.grids[k], path, problems.movement)
+        cells = np.asarray(path)
+        cost = check_path(problems.grids[k], cells, problems.movement, terrain=terrain)
     except ValueError:
         return np.nan
-    joins_start_and_goal = np.array_equal(path[0], problems.starts[k]) and np.array_equal(
-        path[-1], problems.goals[k]
+    joins_start_and_goal = np.array_equal(cells[0], problems.starts[k]) and np.array_equal(
+        cells[-1], problems.goals[k]
     )
     return cost if joins_start_and_goal else np.nan
 
@@ -317,5 +427,5 @@ def _metrics(means: Floats) -> Floats:
         # 0 / 0 = NaN if none is solved.
         cost_ratio = cost_ratio_or_0 / success
         harmonic_mean = 2 * opt * saved / (opt + saved)
-    hmean = np.where(opt + saved > 0, harmonic_mean, 0.0)
+    hmean = np.where(opt + saved == 0, 0.0, harmonic_mean)
     return np.stack([success, opt, cost_ratio, expansion_ratio, saved, hmean], axis=-1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,17 +23,24 @@ from mapdata.search.api import (
     solve_by_goal_fields,
     solve_by_jump_points,
 )
+from mapdata.search.terrain import min_cell_costs
 
 MAX_ESTIMATE = 2**20
 """Maximal ``weight * (H + W)`` of `BestFirst`, so that f fits into 64 bits."""
 
 
-def classical(movement: Movement = Movement(8)) -> list[Planner]:
+def classical(movement: Movement = Movement(8), *, terrain: bool = False) -> list[Planner]:
     """Return the planners that every comparison should show, for one movement.
 
     "limit" expands only the cells of an optimal path. No planner that expands all cells of its path
     can do with fewer. Jump point search does, since it passes over cells; it is left out under
     4-connectivity. If the movement is that of Neural A*, the A* of its repository is added.
+
+    Args:
+        movement: the rule of moves.
+        terrain: whether the problems have terrain. Then jump point search and the A* of Neural A*
+            are left out, since they do not take terrain, and "A* on mean cost" is added. It plans
+            as if all free cells cost the same.
 
     >>> [planner.name for planner in classical()]  # doctest: +NORMALIZE_WHITESPACE
     ['BFS', 'Dijkstra', 'A*', 'weighted A* (1.1)', 'weighted A* (1.25)', 'weighted A* (1.5)',
@@ -46,11 +54,13 @@ def classical(movement: Movement = Movement(8)) -> list[Planner]:
         *(BestFirst(f"weighted A* ({w})", movement, weight=w) for w in (1.1, 1.25, 1.5, 2, 3)),
         BestFirst("greedy best-first", movement, weight=1, uses_path_cost=False),
     ]
-    if movement.connectivity == 8:
+    if movement.connectivity == 8 and not terrain:
         planners.append(JumpPointSearch("jump point search", movement))
     planners.append(GoalFieldAstar("A* with the exact goal field", movement))
     planners.append(Limit("limit", movement))
-    if movement == NEURAL_ASTAR:
+    if terrain:
+        planners.append(Search("A* on mean cost", movement, "astar", uses_terrain=False))
+    elif movement == NEURAL_ASTAR:
         planners.append(VanillaAstar())
     return planners
 
@@ -58,31 +68,55 @@ def classical(movement: Movement = Movement(8)) -> list[Planner]:
 class Batched:
     """Base class of planners with `plan_batch`: it solves a single problem as a batch of one."""
 
-    def plan(self: BatchPlanner, grid: ArrayLike, start: ArrayLike, goal: ArrayLike) -> Plan:
-        """Return the path from ``start`` to ``goal`` on ``grid``, (H, W)."""
-        return self.plan_batch(np.asarray(grid)[None], np.array([start]), np.array([goal]))[0]
+    def plan(
+        self: BatchPlanner,
+        grid: ArrayLike,
+        start: ArrayLike,
+        goal: ArrayLike,
+        terrain: ArrayLike | None = None,
+    ) -> Plan:
+        """Return the path from ``start`` to ``goal`` on ``grid``, (H, W).
+
+        ``terrain``, (H, W), is for a `plan_batch` that takes it: the cost of each cell.
+        """
+        batch = np.asarray(grid)[None], np.array([start]), np.array([goal])
+        terrain_argument: dict[str, Any] = {}
+        if terrain is not None:
+            terrain_argument["terrain"] = np.asarray(terrain)[None]
+        return self.plan_batch(*batch, **terrain_argument)[0]
 
 
 @dataclass(frozen=True)
 class Search(Batched):
-    """mapdata's own search: ``search`` is "bfs" (fewest moves) or "astar"."""
+    """mapdata's own search: ``search`` is "bfs" (fewest moves) or "astar".
+
+    Without ``uses_terrain`` it searches on terrain as if all free cells cost the same.
+    """
 
     name: str
     movement: Movement
     search: str
+    uses_terrain: bool = True
 
-    def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
-        """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2)."""
-        return _plans(search_batch(self.search, grids, starts, goals, self.movement))
+    def plan_batch(
+        self, grids: Bytes, starts: Ints, goals: Ints, terrain: Bytes | None = None
+    ) -> list[Plan]:
+        """Return a plan for each problem: grids and terrain (B, H, W), starts and goals (B, 2)."""
+        if not self.uses_terrain:
+            terrain = None
+        return _plans(
+            search_batch(self.search, grids, starts, goals, self.movement, terrain=terrain)
+        )
 
 
 @dataclass(frozen=True)
 class JumpPointSearch(Batched):
     """Jump point search: it finds optimal paths and expands few cells, with no preparation.
 
-    It serves grids whose free cells all cost the same. Its expansions are the jump points that it
-    takes from the frontier, among equal f the one that was pushed last, as in mapdata's A*. Its
-    looks are the cells that its scans between jump points pass, often more than A* expands.
+    It serves grids whose free cells all cost the same, and refuses terrain. Its expansions are the
+    jump points that it takes from the frontier, among equal f the one that was pushed last, as in
+    mapdata's A*. Its looks are the cells that its scans between jump points pass, often more than
+    A* expands.
 
     Source: Harabor and Grastien, AAAI 2011, with cut corners; SoCS 2012, without.
 
@@ -102,8 +136,19 @@ class JumpPointSearch(Batched):
         """
         check_jump_points(self.movement)
 
-    def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
-        """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2)."""
+    def plan_batch(
+        self, grids: Bytes, starts: Ints, goals: Ints, terrain: Bytes | None = None
+    ) -> list[Plan]:
+        """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2).
+
+        Raises:
+            ValueError: there is terrain; what `search_batch` refuses.
+        """
+        if terrain is not None:
+            raise ValueError(
+                f"{self.name}: got terrain, but jump point search needs free cells of equal cost; "
+                "leave it out, as classical(movement, terrain=True) does"
+            )
         paths, looks = solve_by_jump_points(grids, starts, goals, self.movement)
         return [
             plan._replace(looks=look_count)
@@ -122,9 +167,13 @@ class GoalFieldAstar(Batched):
     name: str
     movement: Movement
 
-    def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
-        """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2)."""
-        paths, field_sizes = solve_by_goal_fields(grids, starts, goals, self.movement)
+    def plan_batch(
+        self, grids: Bytes, starts: Ints, goals: Ints, terrain: Bytes | None = None
+    ) -> list[Plan]:
+        """Return a plan for each problem: grids and terrain (B, H, W), starts and goals (B, 2)."""
+        paths, field_sizes = solve_by_goal_fields(
+            grids, starts, goals, self.movement, terrain=terrain
+        )
         return _with_prepared(_plans(paths), field_sizes)
 
 
@@ -138,9 +187,11 @@ class Limit(Batched):
     name: str
     movement: Movement
 
-    def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
-        """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2)."""
-        paths = search_batch("astar", grids, starts, goals, self.movement)
+    def plan_batch(
+        self, grids: Bytes, starts: Ints, goals: Ints, terrain: Bytes | None = None
+    ) -> list[Plan]:
+        """Return a plan for each problem: grids and terrain (B, H, W), starts and goals (B, 2)."""
+        paths = search_batch("astar", grids, starts, goals, self.movement, terrain=terrain)
         cells_per_path = np.diff(paths.offsets)
         plans = _plans(paths._replace(iterations=cells_per_path))
         return _with_prepared(plans, paths.iterations)
@@ -186,7 +237,7 @@ class BestFirst(Batched):
     The order is that of mapdata's A* (docs/format.md) with another f: the smallest f first, and
     among equal f the most recently pushed cell. A cell is pushed again when a smaller g is found,
     but expanded once. A smaller g that is found after its expansion still changes the cell's
-    parent, which makes the path shorter.
+    parent, which makes the path shorter. On terrain h is that of mapdata's A* on terrain.
 
     The cost is at most ``max(weight, 1)`` times the optimal cost (Pohl 1970; without re-expansion:
     Likhachev et al. 2003). There is no such bound without g.
@@ -214,18 +265,27 @@ class BestFirst(Batched):
         if not 0 <= self.weight < math.inf:
             raise ValueError(f"weight: got {self.weight}, expected a number from 0")
 
-    def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
-        """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2).
+    def plan_batch(
+        self, grids: Bytes, starts: Ints, goals: Ints, terrain: Bytes | None = None
+    ) -> list[Plan]:
+        """Return a plan for each problem: grids and terrain (B, H, W), starts and goals (B, 2).
 
         Raises:
             ValueError: what `search_batch` refuses; a grid so large that with this weight f does
-                not fit into 64 bits (it does for 1024 x 1024 cells with a weight of 512).
+                not fit into 64 bits (it does for 1024 x 1024 cells with a weight of 512; on
+                terrain with a weight of 256, divided by the smallest cost of a free cell).
         """
+        cost_per_move = 1
+        if terrain is not None:
+            # The heuristic on terrain multiplies by the smallest cost, and counts half units.
+            cost_per_move = 2 * int(min_cell_costs(np.asarray(terrain)).max(initial=1))
         rows_and_columns = np.shape(grids)[1:]
-        if self.weight * sum(rows_and_columns) > MAX_ESTIMATE:
+        if self.weight * cost_per_move * sum(rows_and_columns) > MAX_ESTIMATE:
             raise ValueError(f"grids of shape {np.shape(grids)} are too large for {self}")
         weights_of_g_and_h = (int(self.uses_path_cost), float(self.weight))
-        return _plans(solve_batch(weights_of_g_and_h, grids, starts, goals, self.movement))
+        return _plans(
+            solve_batch(weights_of_g_and_h, grids, starts, goals, self.movement, terrain=terrain)
+        )
 
 
 def _with_prepared(plans: list[Plan], prepared: Ints) -> list[Plan]:

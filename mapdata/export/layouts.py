@@ -52,8 +52,13 @@ class Layout:
         splits: our name of a split -> that of the layout; splits that are missing have no place.
         problems: which problems are drawn unless the caller says otherwise.
         movement: rule of the repository's planner, used unless the caller says otherwise.
+        file_name: of the file of an array, from ``{split}`` and ``{array}``.
         archive: name of one ``.npz`` that holds all splits, as arr_0, arr_1, ... in the order of
-            ``splits`` and ``arrays``; empty where each split is a folder of ``.npy`` files.
+            ``splits`` and ``arrays``; empty where each array is a file.
+        has_terrain: whether the arrays hold the costs of cells. Such a layout is for maps with
+            terrain alone; the others are for maps without.
+        check: called with the fields of each batch and the movement of the paths; raises
+            ValueError where the loader would take the problems for other ones.
         max_batch: how many problems are turned into rows at once; fewer where one problem has many
             rows.
         write_index: called with the folder of a split, the number of its problems and the map
@@ -67,7 +72,10 @@ class Layout:
     splits: Mapping[str, str]
     problems: str
     movement: Movement
+    file_name: str = "{split}/{array}.npy"
     archive: str = ""
+    has_terrain: bool = False
+    check: Callable[[Columns, Movement], None] | None = None
     max_batch: int = 4096
     write_index: Callable[[Path, int, Size], None] | None = None
 
@@ -169,6 +177,53 @@ def _write_hrm_index(folder: Path, count: int, map_size: Size) -> None:
     (folder / "dataset.json").write_text(json.dumps(metadata) + "\n", encoding="utf-8")
     # Only visualisation reads it, from the folder above.
     (folder.parent / "identifiers.json").write_text('["<blank>"]\n', encoding="utf-8")
+
+
+# --- Warcraft -------------------------------------------------------------------------------------
+
+WARCRAFT_MOVEMENT = Movement(8, corner_cutting=True, diagonal_cost=1.0)
+"""The rule of the Warcraft sets, `mapdata.formats.warcraft`."""
+
+_WARCRAFT_UNIT = 0.1
+"""The weight of a cell of cost 1."""
+
+
+def _check_warcraft(columns: Columns, movement: Movement) -> None:
+    """Refuse problems that are not as the loaders of Warcraft sets take all problems to be.
+
+    Raises:
+        ValueError: another movement, a map with occupied cells, a problem between other cells than
+            the upper left and the lower right one.
+    """
+    if movement != WARCRAFT_MOVEMENT:
+        raise ValueError(
+            f"warcraft: got {movement}, expected {WARCRAFT_MOVEMENT}, the rule of its loaders"
+        )
+    is_occupied = columns["terrain"] == 0
+    if is_occupied.any():
+        raise ValueError(
+            "warcraft: got maps with occupied cells, whose weight 0 would be the cheapest; "
+            "expected free cells alone, as of the preset tiles"
+        )
+    rows, width = is_occupied.shape[2:]
+    goal_corner = np.array([rows - 1, width - 1])
+    is_from_corner = (columns["start"] == 0).all(axis=1) & (columns["goal"] == goal_corner).all(
+        axis=1
+    )
+    if not is_from_corner.all():
+        problem = int(is_from_corner.argmin())
+        start = tuple(columns["start"][problem].tolist())
+        goal = tuple(columns["goal"][problem].tolist())
+        raise ValueError(
+            f"warcraft: got a problem from {start} to {goal}, but its loaders take all problems to "
+            f"lead from (0, 0) to {rows - 1, width - 1}: expected Terrain(corners=True), as the "
+            "preset tiles"
+        )
+
+
+def _vertex_weights(columns: Columns, movement: Movement) -> Array:
+    """Return the weights of the cells, (B, H, W) float32."""
+    return (columns["terrain"][:, 0] * _WARCRAFT_UNIT).astype(np.float32)
 
 
 # --- the table ------------------------------------------------------------------------------------
@@ -273,6 +328,32 @@ LAYOUTS: dict[str, Layout] = {
             problems="random",
             movement=Movement(4),
             write_index=_write_hrm_index,
+        ),
+        Layout(
+            name="warcraft",
+            source="https://github.com/omron-sinicx/neural-astar/blob/main/src/neural_astar/utils/data.py",
+            fields=("image", "terrain", "start", "goal", "path_mask"),
+            arrays=(
+                LayoutArray(
+                    "maps",
+                    "uint8",
+                    "(N, k H, k W, 3)",
+                    lambda columns, movement: columns["image"].transpose(0, 2, 3, 1),
+                ),
+                LayoutArray("vertex_weights", "float32", "(N, H, W)", _vertex_weights),
+                LayoutArray(
+                    "shortest_paths",
+                    "uint8",
+                    "(N, H, W)",
+                    lambda columns, movement: columns["path_mask"][:, 0],
+                ),
+            ),
+            splits={"train": "train", "val": "val", "test": "test"},
+            problems="route",
+            movement=WARCRAFT_MOVEMENT,
+            file_name="{split}_{array}.npy",
+            has_terrain=True,
+            check=_check_warcraft,
         ),
     )
 }

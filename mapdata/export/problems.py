@@ -43,6 +43,9 @@ ABOUT = "export.json"
 _BATCH_CELLS = 2**22
 """Cells of the maps of a batch. The fields of a batch take some 10 to 100 bytes a cell."""
 
+_IMAGE_BATCH_CELLS = 2**18
+"""Cells of the maps of a batch with pictures, which take some 200 bytes a cell."""
+
 _MAX_BATCH = 4096
 
 _MAX_COUNT = 10**8
@@ -133,6 +136,7 @@ def export_problems(
     splits = _format_splits(format, split)
     parts, origin = _open(source, options, splits, split, count, seed)
     dataset = parts[0].dataset
+    _check_terrain(format, dataset, search)
     if format in ("maze-hard", "hrm"):
         _check_square_and_straight(format, dataset)
     rows, columns = dataset.map_size
@@ -213,7 +217,9 @@ class _Part:
     def batches(self, max_batch: int) -> Iterator[Columns]:
         """Yield the fields of all problems, at most ``max_batch`` at a time."""
         rows, columns = self.dataset.map_size
-        batch_size = min(max(_BATCH_CELLS // (rows * columns), 1), max_batch)
+        has_image = "image" in self.dataset.serving.fields
+        batch_cells = _IMAGE_BATCH_CELLS if has_image else _BATCH_CELLS
+        batch_size = min(max(batch_cells // (rows * columns), 1), max_batch)
         length = len(self.dataset)
         first = 0
         while first < self.count:
@@ -407,6 +413,29 @@ def _dataset_origin(source: Locations) -> dict[str, Any]:
             for manifest in root.manifests
         ]
     }
+
+
+def _check_terrain(format: str, dataset: ProblemDataset, search: str) -> None:  # noqa: A002
+    """Refuse maps with terrain for a format without costs of cells, and the other way round.
+
+    Raises:
+        ValueError: the format has no place for the costs, or needs them; or the paths are not the
+            cheapest ones, which only A* finds.
+    """
+    if format in ("arrays", "parquet"):
+        return
+    needs_terrain = format in LAYOUTS and LAYOUTS[format].has_terrain
+    if dataset.has_terrain and not needs_terrain:
+        raise ValueError(
+            f"{format}: got maps with terrain, but {format} has no costs of cells; expected maps "
+            "without terrain, or one of the formats arrays, parquet and warcraft"
+        )
+    if needs_terrain and not dataset.has_terrain:
+        raise ValueError(
+            f"{format}: got maps without terrain, expected costs of cells, as of the preset tiles"
+        )
+    if needs_terrain and search != "astar":
+        raise ValueError(f"search: {format} holds cheapest paths, got {search!r}, expected 'astar'")
 
 
 def _check_square_and_straight(format: str, dataset: ProblemDataset) -> None:  # noqa: A002

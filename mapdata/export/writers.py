@@ -11,7 +11,7 @@ import numpy as np
 from mapdata.arrays import Array, Ints
 from mapdata.datasets.field_kernels import PADDING
 from mapdata.export.growing_array import GrowingArray
-from mapdata.export.layouts import Columns, Layout
+from mapdata.export.layouts import Columns, Layout, LayoutArray
 from mapdata.limits import Size
 from mapdata.movement import Movement
 
@@ -92,10 +92,16 @@ class LayoutWriter:
         self._arrays: dict[str, GrowingArray] = {}
 
     def write(self, split: str, columns: Columns) -> None:
-        """Write the fields of the next B problems of a split."""
+        """Write the fields of the next B problems of a split.
+
+        Raises:
+            ValueError: problems that the layout cannot hold.
+        """
+        if self._layout.check is not None:
+            self._layout.check(columns, self._movement)
         for array in self._layout.arrays:
             rows = array.rows(columns, self._movement)
-            name = f"{self._layout.splits[split]}/{array.name}.npy"
+            name = self._file_name(split, array)
             if name not in self._arrays:
                 file = self._folder / name
                 self._arrays[name] = GrowingArray(file, np.dtype(array.dtype), rows.shape[1:])
@@ -117,6 +123,11 @@ class LayoutWriter:
         """Close all files after an error."""
         for array in self._arrays.values():
             array.abort()
+
+    def _file_name(self, split: str, array: LayoutArray) -> str:
+        """Return the name of the file of an array of a split, below the folder."""
+        layout = self._layout
+        return layout.file_name.format(split=layout.splits[split], array=array.name)
 
     def _pack(self) -> dict[str, Any]:
         """Move the arrays into one archive, as numpy.savez_compressed numbers them."""

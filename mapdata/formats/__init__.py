@@ -11,7 +11,9 @@ from mapdata.formats import (
     paper,
     planning,
     ros,
+    tilebased,
     transpath,
+    warcraft,
 )
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import Limits
@@ -30,7 +32,17 @@ from mapdata.npy import FormatError
 
 # The order matters: if several formats recognise a file, it belongs to the last of them. The format
 # images comes first, since the others know better what some pictures and arrays mean.
-for _module in (images, paper, movingai, ros, planning, transpath, maze_hard):
+for _module in (
+    images,
+    paper,
+    movingai,
+    ros,
+    planning,
+    transpath,
+    maze_hard,
+    warcraft,
+    tilebased,
+):
     register(_module.FORMAT)
 
 __all__ = [

@@ -40,6 +40,8 @@ class ForeignMap:
         passage_width: in cells, -1 unknown.
         check: called with the labels and the number of this map in them; returns the names of the
             labels for which the source has other values. None if the source has no labels.
+        terrain: (H, W) uint8, the cost of each cell: 1 to 255 on free cells and 0 on occupied ones;
+            None if all free cells cost the same.
         shape: (H, W).
     """
 
@@ -54,6 +56,7 @@ class ForeignMap:
     directions: Ints = field(default_factory=_no_pairs)
     passage_width: int = -1
     check: Callable[[Labels, int], list[str]] | None = None
+    terrain: Bytes | None = None
     shape: Size = field(init=False)
     _bits: Bytes = field(init=False)
 
@@ -64,7 +67,8 @@ class ForeignMap:
         """Pack the cells.
 
         Raises:
-            ValueError: cells that are not two-dimensional or hold another value; no such split.
+            ValueError: cells that are not two-dimensional or hold another value; no such split;
+                terrain that does not fit the cells.
         """
         cells = np.asarray(cells)
         if cells.ndim != 2 or not ((cells == 0) | (cells == 1)).all():
@@ -77,6 +81,8 @@ class ForeignMap:
         # Bits of a transposed array would unpack to a transposed array, but kernels need grids in
         # row-major order.
         grid = np.ascontiguousarray(cells, np.uint8)
+        if self.terrain is not None:
+            object.__setattr__(self, "terrain", _checked_terrain(self.name, self.terrain, grid))
         # A frozen dataclass can set its own attributes in this way only.
         object.__setattr__(self, "shape", grid.shape)
         object.__setattr__(self, "_bits", np.packbits(grid, axis=1))
@@ -85,6 +91,28 @@ class ForeignMap:
     def grid(self) -> Bytes:
         """The cells, (H, W) uint8, 0 free and 1 occupied."""
         return np.unpackbits(self._bits, axis=1, count=self.shape[1])
+
+
+def _checked_terrain(name: str, terrain: Array, grid: Bytes) -> Bytes:
+    """Return terrain in row-major order, after checking that it fits the grid.
+
+    Raises:
+        ValueError: another shape or dtype; a cost on an occupied cell, or none on a free one.
+    """
+    terrain = np.asarray(terrain)
+    if terrain.dtype != np.uint8 or terrain.shape != grid.shape:
+        raise ValueError(
+            f"terrain: {name}: got {terrain.dtype} in shape {terrain.shape}, expected uint8 in "
+            f"shape {grid.shape}"
+        )
+    differs = (terrain == 0) != (grid == 1)
+    if differs.any():
+        row, column = np.argwhere(differs)[0].tolist()
+        raise ValueError(
+            f"terrain: {name}: cell {row, column} has cost {terrain[row, column]}, but is "
+            f"{'occupied' if grid[row, column] else 'free'}: expected 0 on occupied cells alone"
+        )
+    return np.ascontiguousarray(terrain)
 
 
 @dataclass

@@ -102,6 +102,7 @@ def import_maps(
 
     When the grids differ in size or resolution, those of each size and resolution become a dataset
     below ``root`` (``root/64x64``, ...). Maps that cannot be used are added to ``source.left_out``.
+    Maps whose cells have costs become a dataset with terrain.
 
     Args:
         root: folder, created if missing; empty, or written by the same import before (then only
@@ -121,7 +122,8 @@ def import_maps(
         progress: show a progress bar.
 
     Raises:
-        ValueError: bad arguments, no usable map, or a root that holds something else.
+        ValueError: bad arguments, no usable map, maps with and without terrain, or a root that
+            holds something else.
         OSError: the disk is full or may not be written to.
     """
     root = target_folder(root)
@@ -133,6 +135,7 @@ def import_maps(
     if resolution is not None:
         check_resolution("resolution", resolution)
     movement = movement or source.movement or Movement()
+    has_terrain = _has_terrain(source)
     groups: dict[Group, list[ForeignMap]] = {}
     with bar(progress, len(source.maps), unit=" maps checked") as advance:
         for foreign_map in _tiles(source, tile):
@@ -173,6 +176,7 @@ def import_maps(
                 map_size=size,
                 movement=movement,
                 resolution=metres,
+                has_terrain=has_terrain,
             )
             folder = folders[group]
             make_folder(folder)
@@ -194,6 +198,20 @@ def import_maps(
     return datasets
 
 
+def _has_terrain(source: Collection) -> bool:
+    """Return whether the maps of ``source`` have terrain.
+
+    Raises:
+        ValueError: only some of them have it.
+    """
+    terrain_count = sum(foreign_map.terrain is not None for foreign_map in source.maps)
+    if 0 < terrain_count < len(source.maps):
+        raise ValueError(
+            f"{terrain_count} of {len(source.maps)} maps have terrain: import them by themselves"
+        )
+    return terrain_count > 0
+
+
 def _tiles(source: Collection, tile: Size | None) -> Iterator[ForeignMap]:
     """Yield the maps of ``source``, cut into tiles of (rows, columns) unless ``tile`` is None.
 
@@ -211,11 +229,14 @@ def _tiles(source: Collection, tile: Size | None) -> Iterator[ForeignMap]:
             source.left_out.append((foreign_map.name, reason))
         for top in range(0, height - rows + 1, rows):
             for left in range(0, width - columns + 1, columns):
+                window = np.s_[top : top + rows, left : left + columns]
+                terrain = foreign_map.terrain
                 yield ForeignMap(
                     f"{foreign_map.name} rows {top}.. columns {left}..",
-                    grid[top : top + rows, left : left + columns],
+                    grid[window],
                     foreign_map.split,
                     foreign_map.resolution,
+                    terrain=None if terrain is None else terrain[window],
                 )
 
 
@@ -390,7 +411,12 @@ def to_maps(
         maps.seed_points[k, : len(cells)] = cells
         maps.sizes[k, : len(foreign_map.sizes)] = foreign_map.sizes
         maps.directions[k, : len(foreign_map.directions)] = foreign_map.directions
-    return maps
+    if not header.has_terrain:
+        return maps
+    terrains = [
+        foreign_map.terrain for foreign_map in foreign_maps if foreign_map.terrain is not None
+    ]
+    return replace(maps, terrain=np.stack(terrains))
 
 
 def _seed_points(foreign_map: ForeignMap, header: Header, draws: Draws, index: int) -> Ints:

@@ -35,7 +35,7 @@ def separate(maps: list[ForeignMap], splits: Bytes, drop: bool, notes: list[str]
         drop: leave out the copies in the earlier splits, so that the test split stays whole.
         notes: if there are several splits, a line is added that says how many maps stand in two.
     """
-    digest_pairs = [digests_of(foreign_map.grid[None]) for foreign_map in maps]
+    digest_pairs = [_digests(foreign_map) for foreign_map in maps]
     exact = np.concatenate([exact for exact, _ in digest_pairs])
     symmetric = np.concatenate([symmetric for _, symmetric in digest_pairs])
     # Maps that are equal up to symmetry form a group; the copies in its last split are kept.
@@ -64,6 +64,16 @@ def separate(maps: list[ForeignMap], splits: Bytes, drop: bool, notes: list[str]
         _count_distinct(exact[kept], splits[kept]),
         _count_distinct(symmetric[kept], splits[kept]),
     )
+
+
+def _digests(foreign_map: ForeignMap) -> tuple[list[bytes], list[bytes]]:
+    """Return the hash of a map, and that of its symmetric images, as lists of one hash.
+
+    Maps of terrain are copies only if their costs are equal too.
+    """
+    if foreign_map.terrain is not None:
+        return digests_of(foreign_map.terrain[None], is_terrain=True)
+    return digests_of(foreign_map.grid[None])
 
 
 def _count_distinct(digests: Array, splits: Bytes) -> dict[str, int]:

@@ -7,7 +7,8 @@ A move joins two cells of land (`.`, `G` and swamp `S`), two of water (`W`) or t
 `@` and `O` are blocked. No move leads from land to water or trees, so each of the three is an exact
 binary grid of its own. A dataset holds the land; `check_scen` takes the terrain that a problem
 starts in. The benchmark's rule: 8-connected, a diagonal costs sqrt 2 and needs both orthogonal
-cells passable.
+cells passable. Letters have no costs in the benchmark. An import may give them costs; then moves
+join all cells that have one.
 
 A line of a .scen: bucket, map, width, height, start x, start y, goal x, goal y, optimal length; x
 is the column. Files of the first version have spaces, no line `version` and no sizes. Length 0
@@ -39,6 +40,7 @@ from mapdata.formats.files import (
     split_from_folders,
 )
 from mapdata.formats.registry import Format
+from mapdata.formats.weights import MAX_COST
 from mapdata.limits import MAX_ROOMS, Cell, Size
 from mapdata.movement import Movement
 from mapdata.npy import FormatError
@@ -69,6 +71,9 @@ _LINE = re.compile(
 
 _ISLANDS = {"W": "water", "T": "trees"}
 """Terrain by letter that can be crossed, but neither entered from land nor left to land."""
+
+_LAND_COST = 1
+"""The cost of a letter of land to which an import with costs gives none."""
 
 
 class Problem(NamedTuple):
@@ -471,6 +476,7 @@ def read(
     scen: bool = False,
     maps: Path | str | None = None,
     seed_points: int = MAX_ROOMS,
+    costs: dict[str, int] | None = None,
 ) -> Collection:
     """Read a .map or .scen file, or all below a folder.
 
@@ -482,7 +488,13 @@ def read(
             .scen file.
         maps: folder of the maps that .scen files name.
         seed_points: maximal number of these end points.
+        costs: costs of letters, such as {"S": 3, "W": 5}: the maps get terrain. Cells of these
+            letters are free, whatever the benchmark says of moves between them; other land costs 1.
+
+    Raises:
+        ValueError: ``costs`` is no mapping of letters to costs from 1 to 255.
     """
+    cost_by_code = None if costs is None else _cost_by_code(costs)
     collection = Collection(movement=MOVEMENT)
     end_points: Iterable[tuple[Path, list[Cell]]]
     if scen or source.suffix.lower() == ".scen":
@@ -493,9 +505,12 @@ def read(
     letter_counts = np.zeros(128, np.int64)  # indexed by ASCII code
     for path, cells in end_points:
         with collection.leaving_out(path):
-            terrain = read_terrain(path, limits)
-            grid = terrain_grid(terrain)
-            letter_counts += np.bincount(terrain.ravel(), minlength=len(letter_counts))
+            letters = read_terrain(path, limits)
+            letter_counts += np.bincount(letters.ravel(), minlength=len(letter_counts))
+            cell_costs = None if cost_by_code is None else cost_by_code[letters]
+            grid = terrain_grid(letters)
+            if cell_costs is not None:
+                grid = np.asarray(cell_costs == 0, np.uint8)
             distinct_cells = dict.fromkeys(cells)
             free_cells = [cell for cell in distinct_cells if grid[cell] == 0]
             chosen = np.array(free_cells[:seed_points], np.int64).reshape(-1, 2)
@@ -506,15 +521,45 @@ def read(
                     split_from_folders(path, source),
                     seed_points=chosen,
                     rooms_known=len(chosen) > 1,  # with fewer, the import draws more
+                    terrain=cell_costs,
                 )
             )
+    if cost_by_code is not None:
+        letter_costs = ", ".join(
+            f"{letter} {cost_by_code[ord(letter)]} ({letter_counts[ord(letter)]} cells)"
+            for letter in LAND + "".join(_ISLANDS)
+            if cost_by_code[ord(letter)] and letter_counts[ord(letter)]
+        )
+        collection.notes.append(f"costs of the letters: {letter_costs}")
     for letter, name in _ISLANDS.items():
         count = letter_counts[ord(letter)]
-        if count:
-            collection.notes.append(
-                f"{count} cells of {name} ({letter}) are occupied: nothing leads there from land"
-            )
+        has_cost = cost_by_code is not None and cost_by_code[ord(letter)] > 0
+        if count and not has_cost:
+            reason = "nothing leads there from land" if costs is None else "they have no cost"
+            collection.notes.append(f"{count} cells of {name} ({letter}) are occupied: {reason}")
     return collection
+
+
+def _cost_by_code(costs: dict[str, int]) -> Bytes:
+    """Return the cost of each letter, (128,) uint8 by ASCII code; 0 where a cell is occupied.
+
+    Raises:
+        ValueError: letters that have no cells to move on, or costs that are not 1 to 255.
+    """
+    letters = LAND + "".join(_ISLANDS)
+    if not isinstance(costs, dict) or not costs:
+        raise ValueError(f'costs: got {costs!r}, expected letters and their costs as in {{"S": 3}}')
+    cost_by_code = np.zeros(128, np.uint8)
+    cost_by_code[list(LAND.encode())] = _LAND_COST
+    for letter, cost in costs.items():
+        if not isinstance(letter, str) or len(letter) != 1 or letter not in letters:
+            raise ValueError(f"costs: got the letter {letter!r}, expected one of {letters}")
+        if type(cost) is not int or not 1 <= cost <= MAX_COST:
+            raise ValueError(
+                f"costs: got {cost!r} for {letter!r}, expected a whole number from 1 to {MAX_COST}"
+            )
+        cost_by_code[ord(letter)] = cost
+    return cost_by_code
 
 
 def _end_points(

@@ -148,14 +148,16 @@ def read_any(
 def read_problems(source: StrPath, limits: Limits = LIMITS, **options: object) -> ProblemSet:
     """Read the problems of a file or folder, to compare planners on or to train on.
 
-    That is a MovingAI .scen, an .npz of planning-datasets, a folder of TransPath, or an .npz that
-    `ProblemSet.save` wrote. `mapdata.ProblemSetDataset` serves them as torch samples.
+    That is a MovingAI .scen, an .npz of planning-datasets or of tile-based sets, a folder of
+    TransPath or of Warcraft sets, or an .npz that `ProblemSet.save` wrote.
+    `mapdata.ProblemSetDataset` serves them as torch samples.
 
     Args:
         source: the file or folder.
         limits: of what is read, and whether a progress bar shows it.
         options: those of the format's ``problems``: ``count`` and ``maps`` of a .scen, ``seed`` of
-            planning-datasets, ``split`` and ``count`` of TransPath.
+            planning-datasets, ``split`` and ``count`` of TransPath, and these and ``unit`` of
+            Warcraft and tile-based sets.
 
     Raises:
         ValueError: no such file, no problems in it, or bad ones; the message names the file.
@@ -196,7 +198,7 @@ def export(
         DatasetNotFoundError: there is no dataset under ``root``.
         ShardError: it is damaged.
         ValueError: a target that is a URL, an unknown format or option, or what the format cannot
-            hold.
+            hold: no format has a place for the costs of terrain.
         OSError: the disk is full or may not be written to.
     """
     target = local_path(target)
@@ -205,6 +207,11 @@ def export(
     if not target.name.endswith(ending):
         raise ValueError(f"{target}: expected a name that ends with {ending}")
     source = Root.open(root, complete=True)
+    if source.has_terrain:
+        raise ValueError(
+            f"root: {source} has maps with terrain, but {format_name} has no costs of cells; "
+            "expected one of the formats arrays, parquet and warcraft"
+        )
     with new_output(target) as unfinished:
         notes: list[str] = write(unfinished, source, progress, **options)
     return notes

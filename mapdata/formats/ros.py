@@ -14,6 +14,16 @@ The probability that a pixel p is occupied is (255 - p) / 255, or p / 255 with `
 
 Values between 0 and 100 are neither free nor occupied, so they are treated as unknown cells.
 
+A costmap of Nav2 may be such a file in mode raw, whose pixels are costs. There are two scales:
+
+| | free cells | occupied | unknown |
+|---|---|---|---|
+| ``raw``, as Costmap2D and its topic ``costmap_raw`` have them | 0 to 252 | 253, 254 | 255 |
+| ``scaled``, as map_saver saves the topic ``costmap`` | 0 to 98 | 99, 100 | 255 |
+
+253 and 99 are cells from which the robot's inscribed circle touches an obstacle. Source:
+nav2_costmap_2d/src/costmap_2d_publisher.cpp of the same repository.
+
 Row 0 here is the top row of the picture; ROS numbers rows from the bottom. ``origin`` is the pose
 (x, y, yaw) of the lower left corner of the picture, in metres and radians.
 """
@@ -25,7 +35,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path, PureWindowsPath
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import yaml
@@ -97,7 +107,41 @@ def read_map(path: StrPath, limits: Limits = LIMITS) -> RosMap:
         FormatError: fields missing or out of range, a picture that is missing, damaged or outside
             the yaml's folder.
     """
-    path = Path(path)
+    header = _read_header(Path(path))
+    pixels = read_pixels(header.picture, limits)
+    cells = _classify(pixels, header.mode, header.negate, header.low, header.high)
+    return RosMap(cells, header.resolution, header.origin, header.mode)
+
+
+class _Header(NamedTuple):
+    """The fields of a .yaml file.
+
+    Attributes:
+        picture: path of the picture.
+        resolution: metres per cell.
+        origin: (x, y, yaw) of the lower left corner, in metres and radians.
+        mode: trinary, scale or raw.
+        negate: whether white is occupied.
+        low: probability below which a cell is free.
+        high: probability above which a cell is occupied.
+    """
+
+    picture: Path
+    resolution: float
+    origin: tuple[float, float, float]
+    mode: str
+    negate: bool
+    low: float
+    high: float
+
+
+def _read_header(path: Path) -> _Header:
+    """Return the fields of a .yaml file.
+
+    Raises:
+        FormatError: fields missing or out of range, a picture that is missing or outside the
+            yaml's folder.
+    """
     fields = _read_yaml(path)
     resolution = _number(path, "resolution", fields["resolution"])
     if resolution <= 0:
@@ -123,9 +167,15 @@ def read_map(path: StrPath, limits: Limits = LIMITS) -> RosMap:
     if not isinstance(origin, list) or len(origin) != 3:
         raise FormatError(f"{path}: origin is {str(origin)[:40]!r}, expected [x, y, yaw]")
     x, y, yaw = (_number(path, "origin", coordinate) for coordinate in origin)
-    pixels = read_pixels(_picture_path(path, fields["image"]), limits)
-    cells = _classify(pixels, mode, bool(negate), low, high)
-    return RosMap(cells, resolution, (x, y, yaw), mode)
+    return _Header(
+        picture=_picture_path(path, fields["image"]),
+        resolution=resolution,
+        origin=(x, y, yaw),
+        mode=mode,
+        negate=bool(negate),
+        low=low,
+        high=high,
+    )
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:
@@ -262,14 +312,94 @@ def to_grid(cells: Int8s, unknown: str | None, label: str) -> Bytes:
     """
     is_unknown = _unknown_cells(cells)
     if unknown is None and is_unknown.any():
-        raise FormatError(
-            f"{label}: {is_unknown.mean():.1%} of its cells are unknown: say "
-            "--ros.unknown occupied or --ros.unknown free"
-        )
+        raise _unknown_error(is_unknown, label)
     is_occupied = cells == 100
     if unknown == "occupied":
         is_occupied |= is_unknown
     return np.asarray(is_occupied, np.uint8)
+
+
+class _CostScale(NamedTuple):
+    """What the pixels of a costmap mean.
+
+    Attributes:
+        max_free: the largest cost of a free cell.
+        max_occupied: the largest cost of an occupied cell; larger ones do not exist but `_UNKNOWN`.
+    """
+
+    max_free: int
+    max_occupied: int
+
+
+_COST_SCALES = {"raw": _CostScale(252, 254), "scaled": _CostScale(98, 100)}
+"""The scales of costmaps by name, as in the table of this module."""
+
+_UNKNOWN = 255
+"""The pixel of an unknown cell of a costmap."""
+
+
+def read_costs(path: StrPath, limits: Limits = LIMITS) -> tuple[Bytes, float]:
+    """Return the pixels of a costmap, (H, W) uint8, and its metres per cell.
+
+    Raises:
+        FormatError: as `read_map`; another mode than raw, or a picture whose pixels are no costs.
+    """
+    path = Path(path)
+    header = _read_header(path)
+    if header.mode != "raw":
+        raise FormatError(
+            f"{path}: mode is {header.mode}, expected mode: raw, in which the pixels of a costmap "
+            "are its costs"
+        )
+    values, white = read_pixels(header.picture, limits)
+    costs = values[:, :, 0]
+    is_grey = values.shape[2] <= 3 and (values == costs[:, :, None]).all()
+    if white != _UNKNOWN or not is_grey:
+        raise FormatError(f"{header.picture}: expected a grey picture of 8 bits, costs 0 to 255")
+    return costs, header.resolution
+
+
+def to_terrain(costs: Bytes, scale: str, unknown: str | None, label: str) -> Bytes:
+    """Return costs as terrain, (H, W) uint8: cost 0 becomes 1, and so on; 0 is occupied.
+
+    Args:
+        costs: (H, W) uint8, the pixels of a costmap.
+        scale: "raw" or "scaled".
+        unknown: "occupied" or "free": what unknown cells become, with the lowest cost if they are
+            free; None refuses them.
+        label: names the map in errors.
+
+    Raises:
+        FormatError: unknown cells, while ``unknown`` is None; costs of the other scale.
+    """
+    is_unknown = costs == _UNKNOWN
+    if unknown is None and is_unknown.any():
+        raise _unknown_error(is_unknown, label)
+    max_cost = int(costs[~is_unknown].max(initial=0))
+    scaled = _COST_SCALES["scaled"]
+    max_free, max_occupied = _COST_SCALES[scale]
+    if max_cost > max_occupied:
+        raise FormatError(
+            f"{label}: its largest cost is {max_cost}, expected at most {max_occupied}: say "
+            "--ros.costmap raw"
+        )
+    if scale == "raw" and max_cost == scaled.max_occupied:
+        raise FormatError(
+            f"{label}: its largest cost is {max_cost}, an obstacle in what map_saver saves of the "
+            "topic costmap: say --ros.costmap scaled"
+        )
+    terrain = np.where(costs <= max_free, costs + 1, 0).astype(np.uint8)
+    if unknown == "free":
+        terrain[is_unknown] = 1
+    return terrain
+
+
+def _unknown_error(is_unknown: Flags, label: str) -> FormatError:
+    """Return the error for a map with unknown cells, without a word on what they become."""
+    return FormatError(
+        f"{label}: {is_unknown.mean():.1%} of its cells are unknown: say "
+        "--ros.unknown occupied or --ros.unknown free"
+    )
 
 
 def _unknown_cells(cells: Int8s) -> Flags:
@@ -357,6 +487,7 @@ def read(
     unknown: Literal["occupied", "free"] | None = None,
     resolution: float | None = None,
     resample: Literal["any", "mean"] | None = None,
+    costmap: Literal["raw", "scaled"] | None = None,
 ) -> Collection:
     """Read the map of a .yaml file, or all below a folder.
 
@@ -367,38 +498,97 @@ def read(
         resolution: metres per cell that every map is resampled to; default its own.
         resample: a resampled cell is occupied if any part of what it covers is, or if half of it
             is (mean); default any.
+        costmap: the files are costmaps of Nav2, and the maps get terrain: costs 0 to 252, 253 and
+            254 occupied (raw), or, saved from the topic costmap, 0 to 98, 99 and 100 occupied
+            (scaled).
     """
     if resolution is not None:
         resolution = check_resolution("resolution", resolution)
     elif resample is not None:
         raise ValueError("resample: does nothing without resolution")
     collection = Collection()
-    unknown_shares = []
+    unknown_shares: list[float] = []
     for path in files_with_endings(source, ENDINGS, limits, collection):
         with collection.leaving_out(path):
-            ros_map = read_map(path, limits)
-            if _is_filter_mask(ros_map):
-                raise FormatError(
-                    f"{path}: mode: raw, a filter mask, not a map: its pixels are costs or speed "
-                    "limits"
-                )
-            grid = to_grid(ros_map.cells, unknown, str(path))
-            unknown_shares.append(_unknown_cells(ros_map.cells).mean())
-            if resolution is not None:
-                # The quotient of the decimal texts, since 0.15 / 0.05 is not 3 in floating point.
-                factor = Fraction(repr(resolution)) / Fraction(repr(ros_map.resolution))
-                grid = resampled(grid, factor.limit_denominator(1000), resample, limits)
             split = split_from_folders(path, source)
-            metres = resolution or ros_map.resolution
-            collection.maps.append(ForeignMap(str(path), grid, split, metres))
-    note_free_cells(
-        collection, "what the .yaml calls free", "negate in the .yaml, or --ros.unknown,"
-    )
+            if costmap is not None:
+                foreign_map, unknown_share = _read_costmap(
+                    path, split, limits, costmap, unknown, resolution
+                )
+            else:
+                foreign_map, unknown_share = _read_occupancy(
+                    path, split, limits, unknown, resolution, resample
+                )
+            collection.maps.append(foreign_map)
+            unknown_shares.append(unknown_share)
+    if costmap is None:
+        note_free_cells(
+            collection, "what the .yaml calls free", "negate in the .yaml, or --ros.unknown,"
+        )
+    else:
+        max_free, max_occupied = _COST_SCALES[costmap]
+        collection.notes.append(
+            f"costs 0 to {max_free} are terrain 1 to {max_free + 1}, {max_free + 1} and "
+            f"{max_occupied} are occupied"
+        )
     if any(unknown_shares):
         collection.notes.append(
             f"{np.mean(unknown_shares):.1%} of the cells were unknown and are now {unknown}"
         )
     return collection
+
+
+def _read_occupancy(
+    path: Path,
+    split: int | None,
+    limits: Limits,
+    unknown: str | None,
+    resolution: float | None,
+    resample: str | None,
+) -> tuple[ForeignMap, float]:
+    """Return the map of a .yaml file, and the share of its cells that were unknown.
+
+    Raises:
+        FormatError: a file that `read_map` refuses, a filter mask, or unknown cells.
+    """
+    ros_map = read_map(path, limits)
+    if _is_filter_mask(ros_map):
+        raise FormatError(
+            f"{path}: mode: raw, a filter mask, not a map: its pixels are costs or speed limits; "
+            "--ros.costmap reads costs"
+        )
+    grid = to_grid(ros_map.cells, unknown, str(path))
+    unknown_share = float(_unknown_cells(ros_map.cells).mean())
+    if resolution is not None:
+        # The quotient of the decimal texts, since 0.15 / 0.05 is not 3 in floating point.
+        factor = Fraction(repr(resolution)) / Fraction(repr(ros_map.resolution))
+        grid = resampled(grid, factor.limit_denominator(1000), resample, limits)
+    return ForeignMap(str(path), grid, split, resolution or ros_map.resolution), unknown_share
+
+
+def _read_costmap(
+    path: Path,
+    split: int | None,
+    limits: Limits,
+    scale: str,
+    unknown: str | None,
+    resolution: float | None,
+) -> tuple[ForeignMap, float]:
+    """Return the costmap of a .yaml file, and the share of its cells that were unknown.
+
+    Raises:
+        FormatError: a file that `read_costs` or `to_terrain` refuses, or another resolution.
+    """
+    costs, own_resolution = read_costs(path, limits)
+    if resolution not in (None, own_resolution):
+        raise FormatError(
+            f"{path}: has {own_resolution:g} metres per cell, and a costmap is not resampled: "
+            "leave --resolution out"
+        )
+    terrain = to_terrain(costs, scale, unknown, str(path))
+    grid = np.asarray(terrain == 0, np.uint8)
+    foreign_map = ForeignMap(str(path), grid, split, own_resolution, terrain=terrain)
+    return foreign_map, float((costs == _UNKNOWN).mean())
 
 
 def write(

@@ -217,7 +217,7 @@ class UnknownFamily(MapGenerator):
 
     name: str = ""  # type: ignore[misc]  # a field here, a class variable in other families
     parameters: str = "{}"
-    has_terrain: bool = False  # type: ignore[misc]  # a property of other families
+    has_terrain: bool = False  # a property of other families
 
     def __post_init__(self) -> None:
         """Check the parameters that can be checked without the family."""
@@ -277,17 +277,20 @@ def stored_generator(text: str, has_terrain: bool = False) -> MapGenerator:
     Raises:
         ValueError: not JSON, or parameters that no generator can have.
     """
-    return _stored_generator(parsed_json("spec", text))
+    return _stored_generator(parsed_json("spec", text), has_terrain)
 
 
-def _stored_generator(values: Any) -> MapGenerator:
-    """Return the generator of the plain values that a shard or manifest states."""
+def _stored_generator(values: Any, has_terrain: bool) -> MapGenerator:
+    """Return the generator of the plain values that a shard or manifest states.
+
+    ``has_terrain`` is as in `stored_generator`.
+    """
     name = values.get("generator", _ROOMS) if isinstance(values, dict) else _ROOMS
     family = family_named(name) if isinstance(name, str) else None
     if family is not None and isinstance(values, dict):
-        # Their families may be unknown, too.
+        # Their families may be unknown, too. Terrain lies over maps that have none of their own.
         inner_generators = {
-            key: _stored_generator(inner_values)
+            key: _stored_generator(inner_values, has_terrain=False)
             for key, inner_values in _inner_values(family, values).items()
         }
         return MapGenerator.from_dict({**values, **inner_generators})
@@ -342,6 +345,19 @@ def _depth(values: object) -> int:
     if not isinstance(values, list):
         return 0
     return 1 + max(map(_depth, values), default=0)
+
+
+def unknown_family(generator: MapGenerator | None) -> UnknownFamily | None:
+    """Return the family that keeps this process from drawing the maps of a stored generator.
+
+    It is the generator itself, or one of its parameters; None if all families are known.
+    """
+    if generator is None:
+        return None
+    for part in (generator, *generator.inner_generators):
+        if isinstance(part, UnknownFamily):
+            return part
+    return None
 
 
 GENERATORS: dict[str, type[MapGenerator]] = {}

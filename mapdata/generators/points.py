@@ -11,9 +11,8 @@ from mapdata.checks import check_count
 from mapdata.generators.generator import MapGenerator
 from mapdata.generators.maps import Maps, pack
 from mapdata.generators.splits import draw_splits, split_thresholds
-from mapdata.jit import Int, kernel
+from mapdata.jit import Int, inlined, kernel
 from mapdata.limits import MAX_ROOMS
-from mapdata.movement import STEPS
 from mapdata.rng import POINTS, block, bounded
 
 _BLOCKS_PER_POINT = 2
@@ -137,38 +136,69 @@ def largest_component(grid: Bytes, diagonals: Int) -> Ints:
         the one whose first cell comes first is chosen.
     """
     rows, columns = grid.shape
-    steps = STEPS if diagonals == 2 else STEPS[:4]
-    # 0 is a free cell of no component yet, 1 is occupied, and components are numbered from 2.
-    labels = np.ascontiguousarray(grid).astype(np.int64)
-    flat_labels = labels.reshape(-1)
-    queue = np.empty(rows * columns, np.int64)
-    component = 1
-    largest = 0  # No cell has this label in the end, so a full grid has an empty component.
-    largest_size = 0
-    for first_cell in range(rows * columns):
-        if flat_labels[first_cell] != 0:
-            continue
-        # A breadth-first search labels the whole component.
-        component += 1
-        flat_labels[first_cell] = component
-        queue[0] = first_cell
-        size = 1
-        expanded = 0
-        while expanded < size:
-            row, column = divmod(queue[expanded], columns)
-            expanded += 1
-            for down, right in steps:
-                next_row = row + down
-                next_column = column + right
-                is_inside = 0 <= next_row < rows and 0 <= next_column < columns
-                if is_inside and labels[next_row, next_column] == 0:
-                    labels[next_row, next_column] = component
-                    queue[size] = next_row * columns + next_column
-                    size += 1
-        if size > largest_size:
-            largest = component
-            largest_size = size
-    return np.flatnonzero(flat_labels == largest)
+    # Diagonal moves between occupied cells also join runs that meet at a corner only.
+    reach = 1 if diagonals == 2 else 0
+    # A run is a longest row of adjacent free cells: columns run_starts to run_ends - 1. The cells
+    # of a run are connected, so that components are found by joining the few runs that touch.
+    max_runs = rows * ((columns + 1) // 2)
+    run_rows = np.empty(max_runs, np.int64)
+    run_starts = np.empty(max_runs, np.int64)
+    run_ends = np.empty(max_runs, np.int64)
+    # A forest of runs: each points to itself, or to an earlier run of its component.
+    parents = np.empty(max_runs, np.int64)
+    run_count = 0
+    row_above = 0  # the first run of the row above
+    for row in range(rows):
+        above = row_above
+        row_above = run_count
+        column = 0
+        while column < columns:
+            if grid[row, column] != 0:
+                column += 1
+                continue
+            start = column
+            while column < columns and grid[row, column] == 0:
+                column += 1
+            run_rows[run_count] = row
+            run_starts[run_count] = start
+            run_ends[run_count] = column
+            parents[run_count] = run_count
+            # Runs of the row above that end left of this one cannot touch later ones either.
+            while above < row_above and run_ends[above] + reach <= start:
+                above += 1
+            touching = above
+            while touching < row_above and run_starts[touching] < column + reach:
+                root_above = _root(parents, touching)
+                root = _root(parents, run_count)
+                parents[max(root, root_above)] = min(root, root_above)
+                touching += 1
+            run_count += 1
+    # The root of a component is its earliest run, which holds its first cell.
+    sizes = np.zeros(run_count, np.int64)
+    for run in range(run_count):
+        parents[run] = parents[parents[run]]  # Earlier runs already point to their roots.
+        sizes[parents[run]] += run_ends[run] - run_starts[run]
+    largest = 0
+    for run in range(run_count):
+        if sizes[run] > sizes[largest]:
+            largest = run
+    cells = np.empty(sizes[largest] if run_count > 0 else 0, np.int64)
+    cell_count = 0
+    for run in range(run_count):
+        if parents[run] == largest:
+            for column in range(run_starts[run], run_ends[run]):
+                cells[cell_count] = run_rows[run] * columns + column
+                cell_count += 1
+    return cells
+
+
+@inlined
+def _root(parents: Ints, run: Int) -> Int:
+    """Return the root of the component of a run, and shorten the way to it."""
+    while parents[run] != run:
+        parents[run] = parents[parents[run]]
+        run = parents[run]
+    return run
 
 
 @kernel

@@ -30,6 +30,7 @@ from mapdata.problems.terrain_sampling import sample_terrain_problems, solve_ter
 from mapdata.search.api import BatchResult, high_cost_complaint, search_batch
 from mapdata.search.footprint import inflate_all, min_squared_clearance
 from mapdata.search.lattice import ASTAR, HARD, hardness, move_rule
+from mapdata.search.terrain import min_cell_costs
 from mapdata.shards.files import StrPath, write_output
 from mapdata.shards.locations import Locations
 from mapdata.shards.root import Root
@@ -190,7 +191,7 @@ class ProblemSet:
         allows is not compressed: a set of more than 1 GiB, or many large and nearly empty maps.
         """
         about = canonical_json({"movement": asdict(self.movement), "description": self.description})
-        arrays = self._arrays()
+        arrays: dict[str, Any] = self._arrays()
         if "terrain" in arrays:
             del arrays["grids"]
         archive = BytesIO()
@@ -515,28 +516,16 @@ def _sample_until(
     if min_clearance > 0:
         inflation = math.sqrt(min_clearance) / 2  # `min_clearance` is in half cells, squared
         description += f", inflated by {inflation:.3g} cells"
+    # The maps of a source all have terrain, or none has.
+    terrains = [part.terrain for part in parts if part.terrain is not None]
     return ProblemSet(
         np.concatenate([part.grids for part in parts]),
         np.concatenate([part.starts for part in parts]),
         np.concatenate([part.goals for part in parts]),
         movement,
         description,
-        _joined_terrain([part.terrain for part in parts], source),
+        np.concatenate(terrains) if terrains else None,
     )
-
-
-def _joined_terrain(terrains: Sequence[Bytes | None], source: str) -> Bytes | None:
-    """Return the terrain of all parts, (N, H, W), or None if none of them has terrain.
-
-    Raises:
-        ValueError: only some of them have terrain.
-    """
-    parts_with_terrain = [terrain for terrain in terrains if terrain is not None]
-    if not parts_with_terrain:
-        return None
-    if len(parts_with_terrain) < len(terrains):
-        raise ValueError(f"{source}: only some of the maps have terrain, expected all or none")
-    return np.concatenate(parts_with_terrain)
 
 
 def _sample_on(
@@ -591,17 +580,33 @@ def _sample_pairs(batch: _MapBatch, only_route: bool, seed: int, movement: Movem
 
     With ``only_route`` the pairs are those of consecutive seed points.
     """
-    seed_points = (batch.seed_points, batch.seed_point_counts)
-    draws = (np.uint64(seed), 0, batch.indices)  # 0 is the epoch
+    epoch = 0
     keep_unsolvable = False
     rule = move_rule(movement)
     if batch.terrain is None:
         ends, *_ = solve_pairs(
-            batch.grids, *seed_points, *draws, only_route, keep_unsolvable, ASTAR, rule
+            batch.grids,
+            batch.seed_points,
+            batch.seed_point_counts,
+            np.uint64(seed),
+            epoch,
+            batch.indices,
+            only_route,
+            keep_unsolvable,
+            ASTAR,
+            rule,
         )
         return ends
     ends, _, _, _, failed, high_cost = solve_terrain_pairs(
-        batch.terrain, *seed_points, *draws, only_route, keep_unsolvable, rule
+        batch.terrain,
+        batch.seed_points,
+        batch.seed_point_counts,
+        np.uint64(seed),
+        epoch,
+        batch.indices,
+        only_route,
+        keep_unsolvable,
+        rule,
     )
     _check_costs(batch, failed, high_cost)
     return ends
@@ -640,6 +645,5 @@ def _hardness(
     """Return the hardness (N,) of problems on ``terrain``, (N, H, W), or on maps without it."""
     if terrain is None:
         return hardness(costs, starts, goals, movement)
-    distinct_terrain = _without_repeats(terrain)
-    min_costs = distinct_terrain.min(axis=(-2, -1), where=distinct_terrain > 0, initial=255)
+    min_costs = min_cell_costs(_without_repeats(terrain))
     return hardness(costs, starts, goals, movement, min_costs)

@@ -38,6 +38,7 @@ from mapdata.search.lattice import (
 )
 from mapdata.search.terrain import (
     costs_from_sums,
+    follow_terrain_fields,
     solve_on_terrain,
     terrain_path_cost,
     write_terrain_field,
@@ -202,21 +203,18 @@ def solve_batch(
     """Solve B problems by the search with these weights; otherwise as `search_batch`.
 
     With ``allow_occupied_ends``, a start or goal may be occupied: such a problem has no path, and
-    no cell is expanded. On terrain, ``weights`` have to be those of BFS or A*.
+    no cell is expanded. On terrain, the weighted heuristic may not exceed `MAX_PATH_COST` / 2.
     """
     grid_stack, start_cells, goal_cells = _as_problems(grids, starts, goals)
     rule = move_rule(movement)
     if terrain is not None:
-        if weights not in (BFS, ASTAR):
-            raise ValueError(f"weights: got {weights} with terrain, expected BFS or A*")
-        terrain_array = np.asarray(terrain)
-        terrain_stack = as_terrain(
-            terrain_array if terrain_array.ndim == 3 else terrain_array[None], grid_stack
-        )
-        if weights == ASTAR:
-            return _solve_on_terrain(
-                terrain_stack, start_cells, goal_cells, movement, allow_occupied_ends
+        terrain_stack = _as_terrain_stack(terrain, grid_stack)
+        if weights != BFS:
+            paths, solved, high_cost = search_terrains(
+                terrain_stack, start_cells, goal_cells, movement, allow_occupied_ends, weights
             )
+            _check_all_solved_on_terrain(solved, high_cost, terrain_stack, start_cells, goal_cells)
+            return paths
     cells, moves, expansions, offsets, solved = solve_problems(
         grid_stack,
         start_cells,
@@ -270,7 +268,11 @@ def solve_by_jump_points(
 
 
 def solve_by_goal_fields(
-    grids: ArrayLike, starts: ArrayLike, goals: ArrayLike, movement: Movement
+    grids: ArrayLike,
+    starts: ArrayLike,
+    goals: ArrayLike,
+    movement: Movement,
+    terrain: ArrayLike | None = None,
 ) -> tuple[BatchResult, Ints]:
     """Solve B problems by A* whose heuristic is the exact cost to the goal.
 
@@ -286,6 +288,14 @@ def solve_by_goal_fields(
     """
     rule = move_rule(movement)
     grid_stack, start_cells, goal_cells = _as_problems(grids, starts, goals)
+    if terrain is not None:
+        terrains = _as_terrain_stack(terrain, grid_stack)
+        cells, sums, field_sizes, offsets, solved, high_cost = follow_terrain_fields(
+            terrains, start_cells, goal_cells, rule, _scratch_memory(terrains, rule)
+        )
+        _check_all_solved_on_terrain(solved, high_cost, terrains, start_cells, goal_cells)
+        costs = costs_from_sums(sums, movement)
+        return BatchResult(cells, offsets, costs, np.diff(offsets)), field_sizes
     cells, moves, field_sizes, offsets, solved = follow_goal_fields(
         grid_stack, start_cells, goal_cells, rule, _scratch_memory(grid_stack, rule)
     )
@@ -331,10 +341,25 @@ def _costs_of_moves(moves: Ints, movement: Movement) -> Floats:
     return np.where(straight < 0, -1.0, straight + diagonal * movement.diagonal_cost)
 
 
+def _as_terrain_stack(terrain: ArrayLike, grids: Bytes) -> Bytes:
+    """Return terrain, (H, W) or (B, H, W), as the kernels expect it, in the shape of ``grids``.
+
+    Raises:
+        ValueError: what `as_terrain` refuses.
+    """
+    array = np.asarray(terrain)
+    return as_terrain(array if array.ndim == 3 else array[None], grids)
+
+
 def search_terrains(
-    terrains: Bytes, starts: Ints, goals: Ints, movement: Movement, allow_occupied_ends: bool
+    terrains: Bytes,
+    starts: Ints,
+    goals: Ints,
+    movement: Movement,
+    allow_occupied_ends: bool,
+    weights: CostWeights = ASTAR,
 ) -> tuple[BatchResult, int, int]:
-    """Solve problems by A* on terrain that is known to fit its grids.
+    """Solve problems on terrain that is known to fit its grids.
 
     Args:
         terrains: (B, H, W), or (1, H, W) for terrain that all problems share.
@@ -342,6 +367,7 @@ def search_terrains(
         goals: (B, 2) cells.
         movement: which moves are legal.
         allow_occupied_ends: whether a start or goal may be occupied, as in `solve_batch`.
+        weights: which search; not BFS.
 
     Returns:
         The paths; the number of problems that are solved, less than B if the next one is refused;
@@ -350,26 +376,31 @@ def search_terrains(
     """
     rule = move_rule(movement)
     cells, sums, expansions, offsets, solved, high_cost = solve_on_terrain(
-        terrains, starts, goals, int(allow_occupied_ends), rule, _scratch_memory(terrains, rule)
+        terrains,
+        starts,
+        goals,
+        int(allow_occupied_ends),
+        weights,
+        rule,
+        _scratch_memory(terrains, rule),
     )
     paths = BatchResult(cells, offsets, costs_from_sums(sums, movement), expansions)
     return paths, solved, high_cost
 
 
-def _solve_on_terrain(
-    terrains: Bytes, starts: Ints, goals: Ints, movement: Movement, allow_occupied_ends: bool
-) -> BatchResult:
-    """Solve problems as `search_terrains` does, and refuse those that are not solved."""
-    paths, solved, high_cost = search_terrains(
-        terrains, starts, goals, movement, allow_occupied_ends
-    )
+def _check_all_solved_on_terrain(
+    solved: int, high_cost: int, terrains: Bytes, starts: Ints, goals: Ints
+) -> None:
+    """Check that a kernel solved all problems, as `_check_all_solved` does.
+
+    ``high_cost`` is the doubled cost for which problem ``solved`` was refused, or 0.
+    """
+    if high_cost:
+        raise ValueError(f"problem {solved}: {high_cost_complaint(high_cost)}")
     if solved < len(starts):
-        if high_cost:
-            raise ValueError(f"problem {solved}: {high_cost_complaint(high_cost)}")
-        grid = (terrains[min(solved, len(terrains) - 1)] == 0).astype(np.uint8)
-        complaint = _problem_complaint(grid, starts[solved], goals[solved])
-        raise ValueError(f"problem {solved}: {complaint}")
-    return paths
+        terrain = terrains[min(solved, len(terrains) - 1)]
+        grids = (terrain == 0).astype(np.uint8)[None]
+        _check_all_solved(solved, grids, starts, goals)
 
 
 def distance_field(
@@ -500,7 +531,13 @@ def _search_on_terrain(
     """Solve one problem, whose ends are inside the map, by A* on ``terrain`` (H, W)."""
     rule = move_rule(movement)
     path, sums, expansions, _, solved, high_cost = solve_on_terrain(
-        terrain[None], np.array([start]), np.array([goal]), 0, rule, _scratch_memory(grid, rule)
+        terrain[None],
+        np.array([start]),
+        np.array([goal]),
+        0,
+        ASTAR,
+        rule,
+        _scratch_memory(grid, rule),
     )
     if high_cost:
         raise ValueError(high_cost_complaint(high_cost))

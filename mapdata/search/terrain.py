@@ -1,4 +1,4 @@
-"""Searches on terrain, where every cell has a cost of its own: A*, and the least costs to a goal.
+"""Searches on terrain, where every cell has a cost of its own: best first, and around a goal.
 
 Terrain is a map (H, W) of uint8: 0 is an occupied cell, 1 to 255 is the cost of a free cell. A move
 costs the mean of its two cells times its length. This is the rule of scikit-image's MCP_Geometric.
@@ -41,6 +41,7 @@ from mapdata.search.kernels import (
     write_moves,
 )
 from mapdata.search.lattice import (
+    ASTAR,
     CLOSED,
     CORNER_CUTTING,
     DIAGONAL,
@@ -48,6 +49,7 @@ from mapdata.search.lattice import (
     UNIT,
     UNSEEN,
     WALL,
+    CostWeights,
     Lattice,
     MoveRule,
     cell_at,
@@ -59,6 +61,9 @@ from mapdata.search.lattice import (
 )
 
 _ONE = np.uint64(1)
+
+_MOVE = np.uint8(7)
+"""The bits of ``came_from`` that hold the move."""
 
 MAX_COST = np.int64(MAX_PATH_COST * UNIT)
 """Doubled costs from here on are not exact where diagonal moves cost sqrt(2)."""
@@ -82,6 +87,9 @@ _RING_BUCKETS = 512
 In `shortest_terrain_costs` the most expensive move, of 721.2, passes at most 361 buckets of width
 2.
 """
+
+_F_BITS = 20
+"""Binary places of f in `terrain_best_first` where costs are whole numbers, below 2**34."""
 
 _MIN_HEAP_CAPACITY = 256
 """Entries of the heap of `terrain_astar` before it grows."""
@@ -409,6 +417,113 @@ def terrain_astar(
     return expansions, np.int64(pushes), np.int64(0)
 
 
+@kernel
+def terrain_best_first(
+    start: Int,
+    goal: Int,
+    weights: CostWeights,
+    padded: PaddedTerrain,
+    lattice: Lattice,
+    scratch: Scratch,
+) -> tuple[Int, Int, Int]:
+    """Run best-first search with any weights on terrain: the open list is a binary heap.
+
+    The order is that of `best_first_heap`: a cell that was expanded takes a cheaper path, too, but
+    is not expanded again. So its descendants may have a larger ``g`` than their path costs.
+
+    Args:
+        start: padded cell, free.
+        goal: padded cell, free.
+        weights: of g and h in f; not BFS. The weighted h of no cell may exceed ``MAX_COST``.
+        padded: the terrain.
+        lattice: of the map.
+        scratch: with the map loaded in ``came_from``.
+
+    Returns:
+        The same as `terrain_astar`.
+    """
+    cell_costs = padded.cell_costs
+    came_from = scratch.came_from
+    g = scratch.g
+    pushed = scratch.pushed
+    heap = scratch.links
+    f = scratch.f
+    g_weight, h_weight = weights
+    # Where costs are whole numbers, f has binary places for the product of h and its weight.
+    f_shift = _F_BITS if padded.straight_unit == 1 else 0
+    goal_row, goal_column = position(goal, lattice)
+    came_from[start] = 0  # Any move will do: a path is traced back only as far as its start.
+    g[start] = 0
+    pushed[1] = start
+    heap[0] = 1
+    f[0] = 0  # The start is alone in the heap, so its priority does not matter.
+    heap_size = 1
+    pushes = np.uint32(2)
+    expansions = 0
+    while heap_size:
+        cell = pushed[np.uint64(heap[0])]
+        heap_size -= 1
+        remove_heap_top(heap, f, heap_size)
+        # A closed cell was pushed again with a smaller f and expanded then.
+        if came_from[cell] & CLOSED:
+            continue
+        came_from[cell] |= CLOSED
+        expansions += 1
+        cost = g[cell]
+        if cost >= MAX_COST:
+            return expansions, np.int64(pushes), cost
+        if cell == goal:
+            break
+        cell_cost = np.int64(cell_costs[cell])
+        row, column = position(cell, lattice)
+        for move in range(len(lattice.offsets)):
+            neighbour = np.uint64(cell + lattice.offsets[move])
+            state = came_from[neighbour]
+            unit = padded.straight_unit if move < 4 else padded.diagonal_unit
+            tentative_g = cost + (cell_cost + np.int64(cell_costs[neighbour])) * unit
+            if state == WALL or (state != UNSEEN and g[neighbour] <= tentative_g):
+                continue
+            if not is_legal(came_from, cell, move, lattice):
+                continue
+            g[neighbour] = tentative_g
+            if state != UNSEEN and state >= CLOSED:
+                came_from[neighbour] = move | CLOSED
+                continue
+            came_from[neighbour] = move
+            rows_to_goal = row + STEPS[move, 0] - goal_row
+            columns_to_goal = column + STEPS[move, 1] - goal_column
+            h = terrain_heuristic(rows_to_goal, columns_to_goal, padded, lattice) << f_shift
+            if h_weight != 1:  # Multiplied by the float 1.0, a large h would be rounded.
+                h = np.int64(h_weight * h)
+            # f is lowered by MAX_COST, so that the sum of g and h does not overflow.
+            neighbour_f = (g_weight * (tentative_g << f_shift) - MAX_COST) + h
+            pushed[pushes] = neighbour
+            insert_in_heap(heap, f, heap_size, pushes, neighbour_f)
+            heap_size += 1
+            pushes += np.uint32(1)
+    return expansions, np.int64(pushes), np.int64(0)
+
+
+@kernel
+def _sums_of_path(
+    came_from: Bytes, start: Int, goal: Int, padded: PaddedTerrain, lattice: Lattice
+) -> tuple[Int, Int]:
+    """Return the sums S and D of the path that leads from ``start`` to ``goal``, padded cells."""
+    straight_sum: Int = 0
+    diagonal_sum: Int = 0
+    cell = goal
+    while cell != start:
+        move = np.uint64(came_from[np.uint64(cell)] & _MOVE)
+        parent = cell - lattice.offsets[move]
+        move_sum = np.int64(padded.cell_costs[cell]) + np.int64(padded.cell_costs[parent])
+        if move < 4:
+            straight_sum += move_sum
+        else:
+            diagonal_sum += move_sum
+        cell = parent
+    return straight_sum, diagonal_sum
+
+
 @inlined
 def _with_room(heap: UInt32s, heap_f: Ints, size: Int) -> tuple[UInt32s, Ints]:
     """Return a heap of ``size`` entries with room for one more, moved to larger arrays if full."""
@@ -424,10 +539,11 @@ def solve_on_terrain(
     starts: Ints,
     goals: Ints,
     allow_occupied_ends: Int,
+    weights: CostWeights,
     rule: MoveRule,
     memory: Bytes,
 ) -> tuple[Ints, Ints, Ints, Ints, Int, Int]:
-    """Search problem b by A* from ``starts[b]`` to ``goals[b]`` on ``terrains[b]``, for B problems.
+    """Search problem b from ``starts[b]`` to ``goals[b]`` on ``terrains[b]``, for B problems.
 
     Args:
         terrains: (B, H, W), or (1, H, W) for terrain that all problems share.
@@ -435,6 +551,7 @@ def solve_on_terrain(
         goals: (B, 2) cells.
         allow_occupied_ends: 1 if starts and goals may be occupied: such a problem has no path, and
             no cell is expanded. Otherwise 0.
+        weights: which search; not BFS, which counts moves.
         rule: which moves are legal.
         memory: for the `Scratch` of the search.
 
@@ -469,19 +586,90 @@ def solve_on_terrain(
         offsets[b + 1] = used
         if cell_costs[start] == 0 or cell_costs[goal] == 0:
             continue
-        expansions[b], pushes, high_cost = terrain_astar(start, goal, padded, lattice, scratch)
+        if weights == ASTAR:
+            expansions[b], pushes, high_cost = terrain_astar(start, goal, padded, lattice, scratch)
+        else:
+            expansions[b], pushes, high_cost = terrain_best_first(
+                start, goal, weights, padded, lattice, scratch
+            )
         if high_cost:
             return cells, sums, expansions, offsets, b, high_cost
         straight, diagonal = count_moves(scratch.came_from, start, goal, lattice)
         length = count_path_cells(straight, diagonal)
         if length:
-            sums[b, 0], sums[b, 1] = split_terrain_cost(scratch.g[goal], padded)
+            sums[b, 0], sums[b, 1] = _sums_of_path(scratch.came_from, start, goal, padded, lattice)
         cells = with_capacity(cells, used, length)
         write_cells(scratch.came_from, goal, lattice, cells[used : used + length])
         used += length
         offsets[b + 1] = used
         wipe(scratch, pushes)
     return cells[:used], sums, expansions, offsets, count, np.int64(0)
+
+
+@kernel
+def follow_terrain_fields(
+    terrains: Bytes, starts: Ints, goals: Ints, rule: MoveRule, memory: Bytes
+) -> tuple[Ints, Ints, Ints, Ints, Int, Int]:
+    """Search problem b by A* whose heuristic is the exact cost to ``goals[b]``, for B problems.
+
+    It expands the cells of a single path, and from each of them takes the last optimal move, as
+    `follow_goal_fields` explains.
+
+    Args:
+        terrains: (B, H, W), or (1, H, W) for terrain that all problems share.
+        starts: (B, 2) cells.
+        goals: (B, 2) cells.
+        rule: which moves are legal.
+        memory: for the `Scratch` of `shortest_terrain_costs`.
+
+    Returns:
+        The cells (M, 2) of all paths, one after another; (B, 2) sums S and D of the doubled costs,
+        (-1, 0) without a path; (B,) numbers of free cells that reach the goal; (B + 1,) offsets of
+        the paths in the cells; and two numbers as from `solve_on_terrain`.
+    """
+    count = len(starts)
+    lattice = lattice_of(terrains.shape[1:], rule)
+    scratch = scratch_view(memory, lattice)
+    optimal_moves = scratch.came_from
+    cell_costs = np.zeros(lattice.cells, np.uint8)
+    sums = np.empty((count, 2), np.int64)
+    field_sizes = np.empty(count, np.int64)
+    offsets = np.zeros(count + 1, np.int64)
+    cells = np.empty((64 * count + 64, 2), np.int64)
+    used = 0
+    for b in range(count):
+        terrain = terrains[b if len(terrains) > 1 else 0]
+        if not _is_end(terrain, starts[b], 1) or not _is_end(terrain, goals[b], 1):
+            return cells, sums, field_sizes, offsets, b, np.int64(0)
+        padded = load_terrain(terrain, lattice, cell_costs, scratch.came_from)
+        start = cell_at(starts[b, 0], starts[b, 1], lattice)
+        goal = cell_at(goals[b, 0], goals[b, 1], lattice)
+        high_cost = shortest_terrain_costs(np.full(1, goal), padded, lattice, scratch)
+        if high_cost:
+            return cells, sums, field_sizes, offsets, b, high_cost
+        field_size = 0
+        for k in range(lattice.cells):
+            cost = scratch.g[np.uint64(k)]
+            field_size += (cost >= 0) & (cost < INFINITY_ON_TERRAIN)
+        field_sizes[b] = field_size
+        sums[b, 0] = -1
+        sums[b, 1] = 0
+        if scratch.g[start] < INFINITY_ON_TERRAIN:
+            sums[b, 0], sums[b, 1] = split_terrain_cost(scratch.g[start], padded)
+            cell = start
+            cells = with_capacity(cells, used, 1)
+            cells[used, 0], cells[used, 1] = position(cell, lattice)
+            used += 1
+            while cell != goal:
+                move = len(lattice.offsets) - 1
+                while (optimal_moves[np.uint64(cell)] >> move) & 1 == 0:
+                    move -= 1
+                cell += lattice.offsets[move]
+                cells = with_capacity(cells, used, 1)
+                cells[used, 0], cells[used, 1] = position(cell, lattice)
+                used += 1
+        offsets[b + 1] = used
+    return cells[:used], sums, field_sizes, offsets, count, np.int64(0)
 
 
 @kernel
@@ -607,6 +795,15 @@ def write_terrain_field(
         for j in range(terrain.shape[1]):
             field[i, j] = cost_in_cells(scratch.g[cell_at(i, j, lattice)], padded)
     return np.int64(0)
+
+
+def min_cell_costs(terrain: Bytes) -> Bytes:
+    """Return the smallest cost of a free cell of each map of ``terrain``, (..., H, W), as (...).
+
+    It is 255 for a map without a free cell.
+    """
+    min_costs: Bytes = terrain.min(axis=(-2, -1), where=terrain > 0, initial=255)
+    return min_costs
 
 
 def costs_from_sums(sums: Ints, movement: Movement) -> Floats:

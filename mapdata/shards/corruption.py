@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from mapdata.generators.generator import MapGenerator, UnknownFamily, why_unknown
+from mapdata.generators.generator import MapGenerator, unknown_family, why_unknown
 from mapdata.shards.arrays import decode
 from mapdata.shards.builder import build_shard, planned_headers
 from mapdata.shards.content import content_hash
@@ -91,12 +91,12 @@ class Inspection:
     @property
     def unchecked(self) -> str | None:
         """What could not be checked, and why, on one line; None if everything was checked."""
-        generator = None if self.manifest is None else self.manifest.generator
-        if not isinstance(generator, UnknownFamily):
+        unknown = None if self.manifest is None else unknown_family(self.manifest.generator)
+        if unknown is None:
             return None
         return (
             f"{self.location}: the parameters of its recipe were not checked, since "
-            f"{why_unknown(generator.name)}"
+            f"{why_unknown(unknown.name)}"
         )
 
 
@@ -208,9 +208,9 @@ def repair_faults(inspection: Inspection, *, progress: bool = False) -> list[Cor
     repairable: dict[Header, Corruption] = {}
     manifest_is_damaged = False
     for fault in inspection.faults:
-        generator = None if fault.header is None else fault.header.generator
-        if isinstance(generator, UnknownFamily):
-            hint = f"it cannot be made again: {why_unknown(generator.name)}"
+        unknown = None if fault.header is None else unknown_family(fault.header.generator)
+        if unknown is not None:
+            hint = f"it cannot be made again: {why_unknown(unknown.name)}"
             remaining.append(replace(fault, description=f"{fault.description}; {hint}"))
         elif fault.header is not None:
             repairable[fault.header] = fault

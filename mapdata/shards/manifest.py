@@ -15,7 +15,7 @@ import numpy as np
 
 from mapdata.arrays import Flags, Ints
 from mapdata.checks import check_count, check_integers, check_number, check_seed
-from mapdata.generators.generator import UnknownFamily, stored_generator
+from mapdata.generators.generator import stored_generator, unknown_family
 from mapdata.hashing import is_sha256_hex, json_hash, sha256_hex
 from mapdata.limits import SPLITS, TERRAIN_VERSION
 from mapdata.movement import Movement
@@ -114,7 +114,7 @@ class Manifest(Origin):
     @property
     def max_seed_points(self) -> int:
         """The largest number of seed points that a map can have."""
-        if self.generator is not None and not isinstance(self.generator, UnknownFamily):
+        if self.generator is not None and unknown_family(self.generator) is None:
             return self.generator.max_seed_points
         return max((entry.counts["most_rooms"] for entry in self.shards), default=1)
 

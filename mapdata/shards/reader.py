@@ -185,14 +185,18 @@ def sound_labels(shard: Shard) -> Labels:
     """Return the labelled maps of a shard after checking their content hash.
 
     Raises:
-        ShardError: they do not have the content hash that the shard states.
+        ShardError: they do not have the content hash that the shard states, or the maps are not
+            occupied exactly where their terrain is 0.
     """
+    labels = None
     with suppress(*UNSOUND):
         labels = decode(shard)
-        if content_hash(labels) == shard.content_hash:
-            check_terrain(labels.maps, str(shard.path))
-            return labels
-    raise ShardError(f"{shard.path}: damaged (its content hash does not fit); {REPAIRS}")
+        if content_hash(labels) != shard.content_hash:
+            labels = None
+    if labels is None:
+        raise ShardError(f"{shard.path}: damaged (its content hash does not fit); {REPAIRS}")
+    check_terrain(labels.maps, str(shard.path))
+    return labels
 
 
 def check_terrain(maps: Maps, path: str) -> None:

@@ -26,7 +26,8 @@ from helpers.families import forget, write_module
 import mapdata
 from mapdata import MapSpec, read_shard
 from mapdata.cli import app as cli
-from mapdata.generators import PRESETS
+from mapdata.generators import PRESETS, Cave, Terrain
+from mapdata.generators.generator import _presets
 from mapdata.shards import MANIFEST, read_manifest
 
 HOME = Path(__file__).parents[2]
@@ -330,6 +331,16 @@ def test_list_shows_every_preset(run: Command) -> None:
     (dungeon,) = (line for line in lines if line.startswith("dungeon "))
     assert "rooms [8, 16]" in dungeon
     assert "map_size" not in dungeon
+
+
+def test_list_shows_a_generator_inside_of_a_preset(
+    run: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the nested object of a recipe."""
+    monkeypatch.setitem(_presets, "rough", Terrain(over=Cave((9, 12))))
+    line = run("list").out.splitlines()[-1]
+    assert line.startswith("rough       9 x 12      terrain with costs over caves")
+    assert ', over {"generator": "cave", "map_size": [9, 12], "occupied": 0.45' in line
 
 
 def test_build_takes_a_map_size_and_numbers_with_an_exponent(run: Command, tmp_path: Path) -> None:

@@ -451,7 +451,15 @@ def test_what_is_cast_on_the_device(root: str) -> None:
     cast = {
         name for name in before._fields if getattr(before, name).dtype != getattr(after, name).dtype
     }
-    assert cast == {"map", "free", "path_mask", "start_mask", "goal_mask", "optimal_mask"}
+    assert cast == {
+        "map",
+        "free",
+        "terrain",
+        "path_mask",
+        "start_mask",
+        "goal_mask",
+        "optimal_mask",
+    }
     assert all(getattr(after, name).dtype == torch.float32 for name in cast)
     assert all(torch.equal(getattr(after, name), getattr(before, name)) for name in before._fields)
     assert data.on_after_batch_transfer({"other": 1}, 0) == {"other": 1}

@@ -423,6 +423,7 @@ AUGMENTATION = 3
 GRID_FIELDS = (
     "map",
     "free",
+    "terrain",
     "path_mask",
     "start_mask",
     "goal_mask",
@@ -1022,7 +1023,7 @@ def test_online_workers_change_nothing() -> None:
 # --- types and transforms -----------------------------------------------------------------------
 
 INTEGERS = ("start", "goal", "path", "length", "iterations", "optimal_moves", "seed_points")
-GRIDS = ("map", "free", "path_mask", "start_mask", "goal_mask", "optimal_mask")
+GRIDS = ("map", "free", "terrain", "path_mask", "start_mask", "goal_mask", "optimal_mask")
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16, torch.bool])

@@ -329,6 +329,7 @@ TABLE: dict[str, tuple[tuple[int, ...], torch.dtype]] = {
     "seed_points": ((B, R, 2), torch.int64),
     "problem": ((B,), torch.int64),
     "waypoints": ((B, 32, 2), torch.float32),
+    "image": ((B, 3, 8 * H, 8 * W), torch.uint8),
 }
 """The design's table; `path` is apart."""
 

@@ -188,6 +188,7 @@ def test_info_counts_maps_and_problems_of_the_set() -> None:
         map_size=SHAPE,
         resolution=None,
         movement=Movement(8),
+        has_terrain=False,
         fields={
             "map": FieldInfo((1, *SHAPE), torch.uint8),
             "path": FieldInfo((None, 2), torch.int64),

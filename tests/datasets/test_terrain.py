@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,6 +20,7 @@ from torch.utils.data import DataLoader
 
 from mapdata import (
     MapDataModule,
+    MapDataset,
     Maze,
     Movement,
     OnlineMapDataset,
@@ -28,12 +31,13 @@ from mapdata import (
     Route,
     Sample,
     Terrain,
+    build,
     generate,
     inflate_terrain,
 )
 from mapdata.arrays import Ints
 from mapdata.datasets import FIELDS, Batch, Waypoints
-from mapdata.datasets.fields import Rooms, StoredMaps
+from mapdata.datasets.fields import Rooms
 from mapdata.generators.maps import Maps
 
 Array = npt.NDArray[Any]
@@ -252,7 +256,8 @@ def assert_symmetric_fields_fit(sample: Sample, movement: Movement) -> None:
 
 def samples_row(batch: Sample, k: int) -> Sample:
     """Return sample k of a batch."""
-    return batch._make(tensor[k] for tensor in batch)
+    sample: Sample = batch._make(tensor[k] for tensor in batch)
+    return sample
 
 
 def transformed(grid: Array, code: int) -> Array:
@@ -384,6 +389,7 @@ def test_a_batch_keeps_the_stored_maps_beside_the_served_ones() -> None:
     np.testing.assert_array_equal(batch.stored_terrain, drawn.terrain)
     np.testing.assert_array_equal(batch.stored_grids, drawn.occupancy)
     assert batch.terrain is not None
+    assert batch.stored_terrain is not None
     for k, code in enumerate(batch.symmetries.tolist()):
         inflated = inflate_terrain(batch.stored_terrain[k], 0.1 / SQUARE.resolution)
         np.testing.assert_array_equal(batch.terrain[k], transformed(inflated, code))
@@ -412,8 +418,9 @@ def test_fields_of_maps_without_terrain_read_no_stored_maps() -> None:
         symmetries=np.zeros(1, np.int64),
         requested_fields=tuple(FIELDS),
     )
-    for compute in FIELDS.values():
-        compute(batch)
+    for name, compute in FIELDS.items():
+        if name != "image":  # A picture is that of the stored map.
+            compute(batch)
     assert batch.terrain is None
     assert batch.stored_terrain is None
     assert FIELDS["terrain"](batch).tolist() == [[[[1, 0], [1, 1]]]]
@@ -514,11 +521,146 @@ def test_costs_that_are_too_high_are_refused_by_the_number_of_the_map(
     options: dict[str, Any] = {"fields": (field,), "problems": problems, "sampling_seed": 1}
     assert len(OnlineMapDataset(generator, 0, 4, **options)[:2][0]) == 2
     dataset = OnlineMapDataset(generator, 0, 4, **options)
+    epochs = 20
+    numbers = np.arange(4 * epochs)
     with pytest.raises(ValueError, match=r"map [23]: terrain: a path costs 1,\d\d\d,\d\d\d"):
-        for epoch in range(20):
-            dataset.__getitems__(np.arange(4) + 4 * epoch)
+        [dataset.__getitems__(batch) for batch in np.split(numbers, epochs)]
     one_cost = Movement(8, diagonal_cost=1)
     assert len(OnlineMapDataset(generator, 0, 4, movement=one_cost, **options)[:][0]) == 4
+
+
+# --- shards ---------------------------------------------------------------------------------------
+
+OVER_MAZE = Terrain(costs=(1, 7, 30), scale=3, over=Maze((17, 21), corridor=3))
+
+FAMILIES: dict[str, Any] = {"terrain": "terrain", "tiles": "tiles", "over a maze": OVER_MAZE}
+
+
+@pytest.fixture(scope="module")
+def roots(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Datasets with terrain, in shards of 5 maps."""
+    folder = tmp_path_factory.mktemp("terrain")
+    for name, recipe in FAMILIES.items():
+        build(folder / name, recipe, maps=12, seed=SEED, shard_size=5, workers=1)
+    return {name: str(folder / name) for name in FAMILIES}
+
+
+@movements
+@pytest.mark.parametrize("name", FAMILIES)
+@pytest.mark.parametrize("radius", [0.0, 0.1])
+def test_shards_and_online_maps_serve_the_same_random_problems(
+    roots: dict[str, str], name: str, movement: Movement, radius: float
+) -> None:
+    """All fields, bit for bit; maps without a problem are replaced by different ones."""
+    for problems in (Random(), Random(distance=(9, 400), hardness=(1.1, None))):
+        options: dict[str, Any] = {
+            "fields": ALL_FIELDS,
+            "problems": problems,
+            "movement": movement,
+            "radius": radius,
+            "augment": True,
+        }
+        offline = MapDataset(roots[name], **options)._batch(np.arange(12), 1)
+        online = OnlineMapDataset(FAMILIES[name], SEED, 12, **options)._batch(np.arange(12), 1)
+        same = np.flatnonzero(offline.map_numbers == online.map_numbers)
+        assert len(same) > 8
+        for attribute in ("stored_terrain", "stored_grids", "symmetries"):
+            np.testing.assert_array_equal(
+                getattr(offline, attribute)[same], getattr(online, attribute)[same]
+            )
+        batches = [
+            MapDataset(roots[name], **options)[same],
+            OnlineMapDataset(FAMILIES[name], SEED, 12, **options)[same],
+        ]
+        samples.assert_same(*batches)
+
+
+@searches
+@movements
+@pytest.mark.parametrize("name", FAMILIES)
+def test_shards_and_online_maps_serve_the_same_routes(
+    roots: dict[str, str], name: str, movement: Movement, search: str
+) -> None:
+    """The stored labels, or under another movement those solved anew, are those of the map."""
+    options: dict[str, Any] = {"fields": ALL_FIELDS, "search": search}
+    stored = MapDataset(roots[name], **options)
+    anew = MapDataset(roots[name], movement=movement, problems="pairs", **options)
+    assert stored.has_terrain
+    assert stored.info.has_terrain
+    for offline, source in ((stored, "route"), (anew, "pairs")):
+        online = OnlineMapDataset(
+            FAMILIES[name], SEED, 12, movement=offline.movement, problems=source, **options
+        )
+        numbers = offline._batch(np.arange(len(offline)), 0).map_numbers
+        batch = offline[:]
+        for k in range(0, 12, 3):
+            sample = online[k]
+            is_same = (batch.start == sample.start).all(1) & (batch.goal == sample.goal).all(1)
+            (row,) = np.flatnonzero(is_same.numpy() & (numbers == k))
+            samples.assert_same(offline[int(row)], sample, without=("problem",))
+
+
+def test_stored_samples_on_terrain_equal_the_reference(roots: dict[str, str]) -> None:
+    """With stored labels, after a filter, and from a pickled dataset."""
+    dataset = MapDataset(roots["over a maze"], fields=ALL_FIELDS)
+    assert dataset.filter(hardness=(None, None), path_length=(3, None), rooms=(2, 9))
+    costs = dataset[:].hardness
+    view = dataset.filter(hardness=(None, float(costs.median())))
+    assert 0 < len(view) < len(dataset)
+    samples.assert_same(pickle.loads(pickle.dumps(view))[:], view[:])
+    for k in (0, len(view) // 2):
+        assert_fields_fit(view[k], view.movement, "astar")
+    with pytest.raises(ValueError, match="waypoints and bends: got maps with terrain"):
+        dataset.filter(bends=(0, 3))
+    with pytest.raises(ValueError, match="fields: waypoints and bends: got maps with terrain"):
+        MapDataset(roots["tiles"], fields=("map", "waypoints"))
+
+
+def test_a_robot_gets_the_inflated_terrain_of_stored_routes(roots: dict[str, str]) -> None:
+    """Its routes are solved anew."""
+    for search in SEARCHES:
+        dataset = MapDataset(
+            roots["over a maze"], fields=ALL_FIELDS, problems="pairs", search=search, radius=0.1
+        )
+        batch = dataset._batch(np.arange(len(dataset)), 0)
+        assert batch.terrain is not None
+        assert batch.stored_terrain is not None
+        assert len(dataset) > 3
+        for k in range(0, len(dataset), len(dataset) // 3):
+            inflated = inflate_terrain(batch.stored_terrain[k], 1.0)
+            np.testing.assert_array_equal(batch.terrain[k], inflated)
+            assert_fields_fit(dataset[k], dataset.movement, search)
+
+
+def test_roots_with_and_without_terrain_are_no_dataset(
+    roots: dict[str, str], tmp_path: Path
+) -> None:
+    """Each is opened as a dataset of its own; the error says so."""
+    maze = Maze((17, 21), corridor=3)
+    build(tmp_path / "maze", maze, maps=4, seed=SEED, workers=1)
+    fields = ("map", "terrain", "cost")
+    with pytest.raises(ValueError, match=r"have terrain, .* open them as datasets of their own"):
+        MapDataset([roots["over a maze"], str(tmp_path / "maze")], fields=fields)
+    costly = MapDataset(roots["over a maze"], fields=fields)
+    uniform = MapDataset(tmp_path / "maze", fields=fields)
+    (batch,) = DataLoader(torch.utils.data.ConcatDataset([uniform, costly]), batch_size=1000)
+    assert torch.equal(batch.terrain == 0, batch.map == 1)
+    assert batch.terrain[: len(uniform)].max() == 1
+    assert batch.terrain[len(uniform) :].max() == 30
+    twice = MapDataset([roots["tiles"], roots["tiles"]], fields=fields)
+    samples.assert_same(twice[:12], twice[12:])
+
+
+def test_a_data_module_serves_terrain(roots: dict[str, str]) -> None:
+    """With the fields, the dtype and the plot of its dataset."""
+    data = MapDataModule(
+        roots["terrain"], fields=("terrain", "cost_to_go"), dtype="float32", batch_size=4
+    )
+    batch = next(iter(data.train_dataloader()))
+    assert batch.terrain.shape == (4, 1, 64, 64)
+    assert batch.terrain.dtype == torch.float32
+    assert (batch.cost_to_go[batch.terrain == 0] == -1).all()
+    assert data.plot().figure.axes[-1].get_ylabel() == "cost_to_go"
 
 
 # --- problem sets ---------------------------------------------------------------------------------

@@ -352,7 +352,8 @@ def test_options_out_of_range_are_refused(options: dict[str, Any], message: str)
 
 def test_options_are_plain_values_that_can_be_sent_to_workers() -> None:
     """Numbers of numpy become plain ones, and equal options are equal."""
-    options = Tiles(np.int64(9), noise=np.uint8(3), seed=np.uint64(4))
+    numbers: Any = (np.int64(9), np.uint8(3), np.uint64(4))
+    options = Tiles(numbers[0], noise=numbers[1], seed=numbers[2])
     assert options == Tiles(9, noise=3, seed=4)
     assert {type(value) for value in (options.pixels, options.noise, options.seed)} == {int}
     assert pickle.loads(pickle.dumps(options)) == options

@@ -15,10 +15,21 @@ from helpers.cards import table
 from helpers.imported import imported
 from helpers.samples import SPEC, WIDE, build_small
 
-from mapdata import MapDataset, MapSpec, Maze, Movement, Pairs, Route, build, verify
+from mapdata import (
+    MapDataset,
+    MapSpec,
+    Maze,
+    Movement,
+    Pairs,
+    Route,
+    Terrain,
+    build,
+    generate,
+    verify,
+)
 from mapdata.cli import main
 from mapdata.describe import card
-from mapdata.describe.dataset_card import movement_text
+from mapdata.describe.dataset_card import TERRAIN_RULE, movement_text
 from mapdata.limits import SPLITS
 from mapdata.shards import MANIFEST, PROVENANCE, read_manifest
 
@@ -195,3 +206,48 @@ def test_only_maps_of_the_paper_are_cited_as_its_maps(tmp_path: Path) -> None:
     assert "mazes made by a random depth-first search, made by mapdata" in text
     assert "drawn passages" not in text
     assert "whose maps these are" in card(build_small(tmp_path / "d", maps=5))
+
+
+def test_the_card_of_terrain_states_its_costs(tmp_path: Path) -> None:
+    """The rule, the share of each cost, the cost of segments; the code loads the terrain."""
+    generator = Terrain((12, 15), costs=(2, 9, 200), obstacles=0.2, movement=Movement(8))
+    build(tmp_path / "hills", generator, maps=10, seed=1, workers=1)
+    text = card(tmp_path / "hills")
+    facts = table(text, "What it is")
+    assert facts["terrain"] == [TERRAIN_RULE]
+    assert facts["movement"] == [
+        "8-connected: straight steps of length 1, diagonal steps of length sqrt 2, only beside two "
+        "free cells"
+    ]
+    assert "least cost by A\\* between consecutive seed points" in text
+    shares = table(text, "Terrain")
+    terrain = generate(generator, 1, range(10)).terrain
+    assert terrain is not None
+    for cost in (2, 9, 200):
+        count = int((terrain == cost).sum())
+        assert f"({count:,} of {(terrain > 0).sum():,})" in shares[str(cost)][0]
+    assert list(shares) == ["cost of a cell", "---", "2", "9", "200"]
+    assert "cost of a segment" in table(text, "Distributions")
+    assert not any(name.startswith("hard segments") for name in table(text, "Shares"))
+    code = block(text, "python").replace("'hills'", repr(str(tmp_path / "hills")))
+    names: dict[str, object] = {}
+    exec(code, names)
+    np.testing.assert_array_equal(
+        MapDataset(tmp_path / "hills", split="train", fields=("terrain",))[0][0], names["terrain"]
+    )
+
+
+def test_many_costs_are_put_together_in_ranges(tmp_path: Path) -> None:
+    """The table of costs stays short; its counts add up to all free cells."""
+    generator = Terrain((40, 50), costs=tuple(range(1, 256)), obstacles=0.1)
+    build(tmp_path / "hills", generator, maps=2, seed=1, workers=1)
+    rows = table(card(tmp_path / "hills"), "Terrain")
+    names = list(rows)[2:]
+    assert len(names) <= 32
+    assert (names[0], names[-1]) == ("1 to 8", "249 to 255")
+    counts = [
+        int(cells[0].split("(")[1].split(" ")[0].replace(",", ""))
+        for name, cells in rows.items()
+        if name in names
+    ]
+    assert sum(counts) == int((generate(generator, 1, range(2)).occupancy == 0).sum())

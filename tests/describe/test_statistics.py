@@ -8,15 +8,30 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import reference
 from helpers.samples import SPEC, WIDE, build_small
+from helpers.terrain_maps import imported_header, random_terrain_maps
 
-from mapdata import Labels, MapDataset, MapSpec, Route, ShardError, generate
+from mapdata import (
+    Labels,
+    MapDataset,
+    MapSpec,
+    Movement,
+    Route,
+    ShardError,
+    Terrain,
+    build,
+    generate,
+)
 from mapdata.arrays import Bytes
 from mapdata.describe import dataset_statistics
 from mapdata.describe.statistics import Repeats, bin_edges
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.limits import SPLITS
-from mapdata.shards import Root, read_manifest
+from mapdata.search.labels import label
+from mapdata.shards import MANIFEST, Manifest, Root, read_manifest
+from mapdata.shards.image import shard_image
+from mapdata.shards.manifest import entry_of
 
 
 def all_labels(root: str) -> list[Labels]:
@@ -85,6 +100,57 @@ def test_distributions_leave_out_what_has_no_path(tmp_path: Path) -> None:
     assert (statistics.lengths == 0).any()
     assert len(values["hardness of a segment"]) == statistics.root.manifests[0].total("reachable")
     assert values["hardness of a segment"].min() == 1
+
+
+@pytest.mark.parametrize("movement", [Movement(), Movement(8), Movement(8, diagonal_cost=1)])
+def test_statistics_of_terrain_count_what_a_loop_counts(tmp_path: Path, movement: Movement) -> None:
+    """Costs, hardness and cells of each cost are those of plain Python."""
+    generator = Terrain((12, 15), seed_points=3, obstacles=0.2, movement=movement)
+    build(tmp_path / "d", generator, maps=6, seed=2, shard_size=4, workers=1)
+    statistics = dataset_statistics(tmp_path / "d")
+    costs = []
+    hardness = []
+    for labels in all_labels(str(tmp_path / "d")):
+        terrains = labels.maps.terrain
+        assert terrains is not None
+        for i, terrain in enumerate(terrains.tolist()):
+            smallest = min(cost for row in terrain for cost in row if cost > 0)
+            for q, path in enumerate(labels.route("astar", i)):
+                cells = [(row, column) for row, column in path.tolist()]
+                cost = reference.path_cost(cells, movement, terrain)
+                steps = reference.heuristic(cells[0], cells[-1], movement)
+                lower_bound = smallest * reference.as_float(steps, movement)
+                costs.append(cost)
+                hardness.append(cost / lower_bound if lower_bound else 1.0)
+                assert labels.matrix("astar", i)[q, q + 1] == cost
+    assert statistics.costs.tolist() == costs
+    np.testing.assert_allclose(statistics.hardness, hardness, rtol=1e-12)
+    terrain = np.concatenate([labels.maps.terrain for labels in all_labels(str(tmp_path / "d"))])
+    assert statistics.cell_counts is not None
+    assert statistics.cell_counts.tolist() == [(terrain == cost).sum() for cost in range(256)]
+    assert list(statistics.distributions())[-1] == "cost of a segment"
+
+
+def test_repeated_terrain_is_counted_by_its_costs(tmp_path: Path) -> None:
+    """Maps without obstacles differ by their costs; a mirrored map is a symmetric copy."""
+    maps = random_terrain_maps(1, (6, 6), 5, Movement(8))
+    assert maps.terrain is not None
+    terrain = np.maximum(maps.terrain, 1)
+    terrain[1] = terrain[0]
+    terrain[2] = terrain[0][:, ::-1]
+    terrain[4] = 1  # the smallest cost of all maps
+    free = replace(
+        maps, terrain=terrain, packed=np.zeros_like(maps.packed), split=np.zeros_like(maps.split)
+    )
+    header = imported_header(free)
+    labels = label(free)
+    image, content = shard_image(labels, header)
+    (tmp_path / header.file_name).write_bytes(image)
+    manifest = Manifest(**header.origin(), maps=5, shard_size=5)
+    entry = entry_of(header, content, labels, image)
+    (tmp_path / MANIFEST).write_text(replace(manifest, shards=(entry,)).to_json(), encoding="utf-8")
+    exact, symmetric = dataset_statistics(tmp_path, repeats=True).repeats
+    assert (exact.inside["train"], symmetric.inside["train"]) == (1, 2)
 
 
 def are_same(a: Bytes, b: Bytes, *, symmetric: bool) -> bool:

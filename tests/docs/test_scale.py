@@ -14,7 +14,7 @@ import pytest
 import yaml
 from helpers.builds import stamps
 
-from mapdata import MapSpec, build
+from mapdata import build
 from mapdata.cli import main
 from mapdata.shards import read_manifest
 
@@ -48,7 +48,7 @@ def test_the_plan_follows_from_the_rates() -> None:
 def test_a_map_has_so_many_bytes(name: str, tmp_path: Path) -> None:
     """A real build agrees, within a twentieth."""
     maps = 100 if name == "dungeon128" else 1000
-    manifest = build(tmp_path / "maps", MapSpec.preset(name), maps=maps)
+    manifest = build(tmp_path / "maps", name, maps=maps)
     assert sum(entry.bytes for entry in manifest.shards) / maps == pytest.approx(
         RATES[name][1], rel=0.05
     )

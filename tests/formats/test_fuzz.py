@@ -54,7 +54,31 @@ def seed_points() -> dict[str, dict[str, bytes]]:
     actions = np.zeros((1, 8, 1, 3, 4))
     goal[0, 0, 0, 0] = 1
     np.savez_compressed(planning, 1.0 - GRID[None], goal, actions, goal)
+    tiles = io.BytesIO()
+    tile_arrays = {
+        "maps": np.zeros((1, 3, 4, 3), np.uint8),
+        "costs": np.full((1, 3, 4), 0.8),
+        "targets": np.zeros((1, 1, 2), np.int64),
+        "sources": np.ones((1, 1, 1, 2), np.int64),
+        "paths": np.eye(3, 4)[None, None, None],
+    }
+    np.savez_compressed(tiles, **tile_arrays)  # type: ignore[arg-type]
+    weights, paths, pictures = io.BytesIO(), io.BytesIO(), io.BytesIO()
+    np.save(weights, np.full((1, 3, 4), 0.8, np.float16))
+    np.save(paths, np.eye(3, 4, dtype=np.uint8)[None])
+    np.save(pictures, np.zeros((1, 3, 4, 3), np.uint8))
     return {
+        "warcraft": {
+            "train_vertex_weights.npy": weights.getvalue(),
+            "train_shortest_paths.npy": paths.getvalue(),
+            "train_maps.npy": pictures.getvalue(),
+        },
+        "warcraft paths": {
+            "train_shortest_paths.npy": paths.getvalue(),
+            "train_vertex_weights.npy": weights.getvalue(),
+            "train_maps.npy": pictures.getvalue(),
+        },
+        "tilebased": {"train.npz": tiles.getvalue()},
         "png": {"a.png": saved("png")},
         "bmp": {"a.bmp": saved("bmp")},
         "jpeg": {"a.jpg": saved("jpeg")},
@@ -80,6 +104,9 @@ FORMATS = {
     "scen": "movingai",
     "csv": "paper",
     "maze-hard": "maze-hard",
+    "warcraft": "warcraft",
+    "warcraft paths": "warcraft",
+    "tilebased": "tilebased",
     "planning": "planning-datasets",
 }
 CHANGES = st.lists(
@@ -133,7 +160,7 @@ def test_a_changed_file_is_read_or_refused(
             (folder / file).parent.mkdir(exist_ok=True)
             (folder / file).write_bytes(data if k else changed(data, changes))
         first = folder / next(iter(seed_points()[file_format]))
-        source = first if file_format in ("planning", "scen") else folder
+        source = first if file_format in ("planning", "scen", "tilebased", "warcraft") else folder
         attempt(lambda: read_any(source, FORMATS.get(file_format, "images"), LIMITS))
         if file_format == "scen":
             attempt(lambda: check_scen(first, limits=LIMITS))

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from mapdata import ProblemSet, read_shard
 from mapdata.evaluation import classical, evaluate
-from mapdata.formats import FormatError, Limits, read_problems
+from mapdata.formats import FormatError, Limits, read_any, read_problems
 from mapdata.formats.movingai import (
     Problem,
     agrees,
@@ -600,3 +600,79 @@ def test_larger_maps_become_tiles(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "--tile cuts it" in err
     assert cli(capsys, "import", tmp_path, tmp_path / "out", "--tile", "3x2000")[0] == 0
     assert read_manifest(tmp_path / "out").maps == 4
+
+
+# --- costs of letters -----------------------------------------------------------------------------
+
+
+def test_letters_with_costs_become_terrain(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Other land costs 1; other letters stay occupied. Water with a cost can be entered from
+    land.
+    """
+    files(tmp_path)
+    costs = '{"S": 3, "W": 5}'
+    source = tmp_path / "cave.map"
+    code, out, _ = cli(capsys, "import", source, tmp_path / "data", "--movingai.costs", costs)
+    assert code == 0
+    assert (
+        "costs of the letters: . 1 (13 cells), G 1 (1 cells), S 3 (1 cells), W 5 (6 cells)" in out
+    )
+    assert "1 cells of trees (T) are occupied: they have no cost" in out
+    assert "of water" not in out
+    manifest = read_manifest(tmp_path / "data")
+    assert manifest.movement == Movement(8)
+    maps = read_shard(tmp_path / "data" / manifest.shards[0].name).maps
+    assert maps.terrain is not None
+    assert maps.terrain[0].tolist() == [
+        [1, 1, 1, 0, 5, 5],
+        [1, 3, 1, 0, 5, 5],
+        [1, 0, 1, 1, 5, 5],
+        [1, 1, 1, 1, 1, 1],
+    ]
+
+
+def test_end_points_on_water_are_seed_points_where_water_has_a_cost(tmp_path: Path) -> None:
+    """Without costs they are not, since the water is occupied."""
+    scen = files(tmp_path)
+    points = read_any(scen).maps[0].seed_points.tolist()
+    points_with_water = read_any(scen, costs={"W": 2}).maps[0].seed_points.tolist()
+    assert [0, 4] not in points
+    assert [0, 4] in points_with_water
+
+
+@pytest.mark.parametrize(
+    ("costs", "message"),
+    [
+        ({}, "costs: got {}, expected letters and their costs as in"),
+        ({"@": 3}, "costs: got the letter '@', expected one of .GSWT"),
+        ({"SW": 3}, "costs: got the letter 'SW', expected one of .GSWT"),
+        ({"": 3}, "costs: got the letter '', expected one of .GSWT"),
+        ({"S": 0}, "costs: got 0 for 'S', expected a whole number from 1 to 255"),
+        ({"S": 256}, "costs: got 256 for 'S'"),
+        ({"S": 1.5}, "costs: got 1.5 for 'S'"),
+        ({"S": True}, "costs: got True for 'S'"),
+        ({"S": "3"}, "costs: got '3' for 'S'"),
+        ([("S", 3)], "costs: got [('S', 3)], expected letters"),
+    ],
+)
+def test_costs_that_are_none_are_refused(costs: Any, message: str, tmp_path: Path) -> None:
+    """The message names the letter."""
+    files(tmp_path)
+    with pytest.raises(ValueError, match=re.escape(message)):
+        read_any(tmp_path / "cave.map", costs=costs)
+
+
+def test_costs_on_the_command_line_are_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Anything else is refused, with an example."""
+    files(tmp_path)
+    for text in ("S=3", "[3]", "{"):
+        code, _, err = cli(
+            capsys, "import", tmp_path / "cave.map", tmp_path / "data", "--movingai.costs", text
+        )
+        assert code == 2
+        assert "expected JSON such as" in err
+        assert len(err.strip().splitlines()) == 1

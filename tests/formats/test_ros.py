@@ -6,6 +6,7 @@ import math
 import re
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -480,3 +481,103 @@ def test_bad_resolutions_are_refused(tmp_path: Path, capsys: pytest.CaptureFixtu
         code, _, err = cli(capsys, "import", path, tmp_path / "out", *given)
         assert (code, err.count("mapdata: ")) == (2, 1)
         assert message in err
+
+
+# --- costmaps -------------------------------------------------------------------------------------
+
+COSTS = [[0, 1, 128, 252], [253, 254, 255, 40], [0, 0, 7, 0]]
+
+
+def write_costmap(folder: Path, costs: list[list[int]], **fields: str) -> Path:
+    """Write a costmap as Nav2 saves it in mode raw."""
+    values = np.array(costs, np.uint8)
+    header = f"P5\n{values.shape[1]} {values.shape[0]}\n255\n".encode()
+    return write(folder, header + values.tobytes(), **{"mode": "raw", **fields})
+
+
+@pytest.mark.parametrize(("unknown", "cost"), [("free", 1), ("occupied", 0)])
+def test_costs_of_a_costmap_become_terrain(
+    unknown: str, cost: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """0 to 252 become 1 to 253, 253 and 254 are occupied, and 255 is what the option says."""
+    path = write_costmap(tmp_path, COSTS)
+    options = ("--ros.costmap", "raw", "--ros.unknown", unknown)
+    code, out, _ = cli(capsys, "import", path, tmp_path / "data", *options, "--seed-points", 3)
+    assert code == 0
+    assert "costs 0 to 252 are terrain 1 to 253, 253 and 254 are occupied" in out
+    assert f"8.3% of the cells were unknown and are now {unknown}" in out
+    manifest = read_manifest(tmp_path / "data")
+    assert manifest.resolution == 0.05
+    maps = read_shard(tmp_path / "data" / manifest.shards[0].name).maps
+    assert maps.terrain is not None
+    assert maps.terrain[0].tolist() == [[1, 2, 129, 253], [0, 0, cost, 41], [1, 1, 8, 1]]
+    assert np.array_equal(maps.occupancy, maps.terrain == 0)
+
+
+def test_a_saved_topic_has_costs_from_0_to_100(tmp_path: Path) -> None:
+    """99 and 100 are occupied. Either scale is refused where the other one was said."""
+    path = write_costmap(tmp_path, [[0, 1, 98], [99, 100, 255]])
+    collection = read_any(path, costmap="scaled", unknown="free")
+    terrain = collection.maps[0].terrain
+    assert terrain is not None
+    assert terrain.tolist() == [[1, 2, 99], [0, 0, 1]]
+    [(_, reason)] = read_any(path, costmap="raw", unknown="free").left_out
+    assert "its largest cost is 100, an obstacle in what map_saver saves" in reason
+    [(_, reason)] = read_any(
+        write_costmap(tmp_path, COSTS), costmap="scaled", unknown="free"
+    ).left_out
+    assert "its largest cost is 254, expected at most 100: say --ros.costmap raw" in reason
+
+
+@pytest.mark.parametrize(
+    ("fields", "options", "reason"),
+    [
+        ({}, {}, "8.3% of its cells are unknown: say --ros.unknown occupied or --ros.unknown free"),
+        ({"mode": "trinary"}, {}, "mode is trinary, expected mode: raw"),
+        ({"negate": "1"}, {}, "mode raw with negate"),
+        (
+            {},
+            {"unknown": "free", "resolution": 0.1},
+            "has 0.05 metres per cell, and a costmap is not resampled: leave --resolution out",
+        ),
+    ],
+)
+def test_a_costmap_with_a_fault_is_left_out(
+    fields: dict[str, str], options: dict[str, Any], reason: str, tmp_path: Path
+) -> None:
+    """The message says what to do."""
+    path = write_costmap(tmp_path, COSTS, **fields)
+    collection = read_any(path, costmap="raw", **options)
+    assert not collection.maps
+    [(_, found)] = collection.left_out
+    assert reason in found
+    assert "\n" not in found
+
+
+@pytest.mark.parametrize(
+    "pixels",
+    [np.zeros((2, 3), np.uint16), np.eye(3, dtype=np.uint8), np.zeros((2, 3, 4), np.uint8)],
+    ids=["16 bits", "colours", "alpha"],
+)
+def test_pixels_that_are_no_costs_are_refused(pixels: Bytes, tmp_path: Path) -> None:
+    """A cost is a byte. A grey picture may be saved in three equal channels."""
+    colours = np.zeros((3, 3, 3), np.uint8)
+    colours[:, :, 0] = 7
+    if pixels.shape == (3, 3):
+        pixels = colours
+    Image.fromarray(pixels).save(tmp_path / "map.png")
+    path = write(tmp_path, (tmp_path / "map.png").read_bytes(), "map.png", mode="raw")
+    [(_, reason)] = read_any(path, costmap="raw").left_out
+    assert "map.png: expected a grey picture of 8 bits, costs 0 to 255" in reason
+    Image.fromarray(np.full((2, 3, 3), 7, np.uint8)).save(tmp_path / "map.png")
+    terrain = read_any(path, costmap="raw").maps[0].terrain
+    assert terrain is not None
+    assert np.unique(terrain).tolist() == [8]
+
+
+def test_without_the_option_a_costmap_is_the_map_that_it_was(tmp_path: Path) -> None:
+    """In mode raw 100 is occupied, 0 free, and the rest unknown."""
+    path = write_costmap(tmp_path, [[0, 100, 7], [0, 254, 255]])
+    foreign_map = read_any(path, unknown="free").maps[0]
+    assert foreign_map.terrain is None
+    assert foreign_map.grid.tolist() == [[0, 1, 0], [0, 0, 0]]

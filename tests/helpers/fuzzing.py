@@ -26,7 +26,7 @@ from typing import TypeAlias
 
 from helpers.samples import ALL_FIELDS
 from helpers.specs import Noted
-from mapdata import MapDataset, MapSpec, ShardError, Waypoints, build
+from mapdata import MapDataset, MapSpec, ShardError, Terrain, Waypoints, build
 from mapdata.formats import FormatError, Limits, export, read_any
 from mapdata.formats.movingai import check_scen
 from mapdata.generators import register
@@ -91,13 +91,16 @@ def changed(draw: random.Random, data: bytes) -> bytes:
 
 
 def shard_cases(folder: Path) -> Iterator[tuple[str, Case]]:
-    """Yield the cases of each kind of shard: both movements, built, and of a spec so long that its
-    attributes lie in several blocks.
+    """Yield the cases of each kind of shard: both movements, built, of terrain, and of a spec so
+    long that its attributes lie in several blocks.
     """
     for connectivity in (4, 8):
         root = folder / f"maps{connectivity}"
         build(root, replace(SPEC, movement=Movement(connectivity)), maps=4, seed=1)
         yield f"{connectivity}-connected", _shard_case(root)
+    terrain = Terrain((12, 20), seed_points=3, obstacles=0.2, movement=Movement(8))
+    build(folder / "terrain", terrain, maps=4, seed=1)
+    yield "terrain", _shard_case(folder / "terrain")
     register(Noted)
     build(folder / "long", Noted((12, 20), note="x" * 2000), maps=4, seed=1)
     yield "a long spec", _shard_case(folder / "long")
@@ -134,9 +137,14 @@ def sealed(draw: random.Random, image: bytes) -> bytes:
 def _read_all(root: Path, search: str, movement: Movement) -> None:
     """Read every problem of a dataset, with every field.
 
-    Waypoints are filled, because a path through walls is no error of the other fields either.
+    Waypoints are filled, because a path through walls is no error of the other fields either. Maps
+    with terrain have no taut lines.
     """
-    fields = [Waypoints(fill=True) if name == "waypoints" else name for name in ALL_FIELDS]
+    fields: list[str | Waypoints] = [
+        Waypoints(fill=True) if name == "waypoints" else name for name in ALL_FIELDS
+    ]
+    if read_manifest(root).has_terrain:
+        fields = [name for name in ALL_FIELDS if name not in ("waypoints", "bends")]
     for problems in ("route", "pairs", "random"):
         MapDataset(root, fields=fields, problems=problems, search=search, movement=movement)[:]
 

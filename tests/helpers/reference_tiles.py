@@ -168,7 +168,7 @@ def noise_levels(noise: int) -> list[int]:
             for byte in range(256):
                 sums[total + byte] += count
         counts = sums
-    quantiles = []
+    quantiles: list[int] = []
     cumulated = 0
     for total in sorted(counts):
         cumulated += counts[total]

@@ -18,7 +18,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from mapdata import Labels, MapSpec, generate, label, pull_taut
+from mapdata import Labels, MapSpec, Terrain, generate, label, pull_taut
 from mapdata.plotting import (
     COLOURS,
     PALETTE,
@@ -88,6 +88,17 @@ def test_free_cells_are_white_or_in_the_papers_colours_black() -> None:
         shades = np.asarray(image.to_rgba(grid))[..., 0]
         assert shades[0, 0] == pytest.approx(free)
         assert shades[0, 1] == pytest.approx(occupied, abs=0.05)
+
+
+def test_terrain_is_drawn_in_shades() -> None:
+    """The costs of the free cells, under the routes and seed points of a map."""
+    labels = label(generate(Terrain((9, 11), costs=(2, 3, 8), seed_points=3), 3, range(2)))
+    assert labels.maps.terrain is not None
+    for axes in (plot_map(labels, 1), plot_path(labels, 1)):
+        _, shade = axes.get_images()
+        values: Any = shade.get_array()
+        terrain = labels.maps.terrain[1]
+        np.testing.assert_array_equal(values.compressed(), terrain[terrain > 0])
 
 
 def test_path_shows_each_segment_with_its_iterations() -> None:

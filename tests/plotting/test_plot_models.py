@@ -14,7 +14,7 @@ from helpers.figures import assert_lines, assert_tidy, drawn, ends_of, figure_of
 from helpers.samples import WIDE, build_small
 from matplotlib.collections import LineCollection, PathCollection
 
-from mapdata import MapDataset, Sample
+from mapdata import MapDataset, Maze, OnlineMapDataset, Sample, Terrain, generate
 from mapdata.plotting import COLOURS, plot_prediction, plot_roadmap, plot_sample
 
 
@@ -91,6 +91,27 @@ def test_first_dense_field_is_a_shade(tmp_path: Path, field: Any) -> None:
     np.testing.assert_array_equal(values.compressed(), truth[~values.mask])
     assert axes.figure.axes[1].get_ylabel() == sample._fields[4]
     assert_tidy(figure_of(axes))
+
+
+def test_costs_of_terrain_are_a_shade_unless_another_field_is_dense() -> None:
+    """`dataset.plot` draws them, with start, goal and path on top, whatever fields are served."""
+    hills = Terrain((9, 11), costs=(2, 3, 8), obstacles=0.2, seed_points=4)
+    dataset = OnlineMapDataset(hills, 3, 4, fields=("cost",))
+    axes = dataset.plot(1)
+    _, shade = axes.get_images()
+    values: Any = shade.get_array()
+    terrain = generate(hills, 3, [1]).terrain
+    assert terrain is not None
+    np.testing.assert_array_equal(values.mask, terrain[0] == 0)
+    np.testing.assert_array_equal(values.compressed(), terrain[0][terrain[0] > 0])
+    assert axes.figure.axes[1].get_ylabel() == "terrain"
+    assert [text.get_text() for text in axes.texts] == ["S", "G"]
+    assert len(axes.get_lines()) == 1
+    assert_tidy(figure_of(axes))
+    dense = OnlineMapDataset(hills, 3, 4, fields=("terrain", "cost_to_go")).plot(1)
+    assert dense.figure.axes[1].get_ylabel() == "cost_to_go"
+    uniform = OnlineMapDataset(Maze((9, 11)), 3, 4, fields=("map", "terrain"))
+    assert len(plot_sample(uniform[0]).get_images()) == 1
 
 
 def test_waypoints_are_drawn_as_points_of_a_line(tmp_path: Path) -> None:

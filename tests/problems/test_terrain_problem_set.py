@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from helpers import reference
 
-from mapdata import PRESETS, ProblemSet, Random, astar, generate
+from mapdata import PRESETS, ProblemSet, Random, Terrain, astar, build, generate
 from mapdata.arrays import Bytes
 from mapdata.movement import Movement
 from mapdata.problems import HARD
@@ -23,7 +23,7 @@ MOVEMENTS = [
     Movement(8, corner_cutting=True, diagonal_cost=1),
 ]
 movements = pytest.mark.parametrize("movement", MOVEMENTS, ids=["4", "8", "cutting", "one"])
-SMALL = replace(PRESETS["terrain"], map_size=(9, 14))
+SMALL = Terrain(map_size=(9, 14))
 
 
 def test_the_costs_on_terrain_are_those_of_single_searches() -> None:
@@ -89,7 +89,7 @@ def test_hardness_on_terrain_is_the_cost_over_the_cheapest_empty_map() -> None:
     terrains = np.stack([terrain, terrain, 2 * terrain - 1])
     starts = np.array([(1, 0), (0, 0), (1, 0)])
     goals = np.array([(1, 3), (0, 2), (1, 2)])
-    problems = ProblemSet(terrains == 0, starts, goals, Movement(), terrain=terrains)  # type: ignore[arg-type]
+    problems = ProblemSet(terrains == 0, starts, goals, Movement(), terrain=terrains)
     assert problems.optimal.cost.tolist() == [6, 8, 6]
     assert problems.hardness.tolist() == [6 / 6, 8 / 4, 6 / 6]
     assert problems.hard.tolist() == [False, True, False]
@@ -140,6 +140,23 @@ def test_problems_on_routes_of_terrain_join_seed_points() -> None:
         assert max(gaps) <= max_gap
 
 
+def test_the_problems_of_tiles_lead_from_corner_to_corner() -> None:
+    """The task of the Warcraft sets: the upper left and the lower right corner of each map."""
+    movement = PRESETS["tiles"].movement
+    problems = ProblemSet.sample("tiles", 0, 5, problems="route", movement=movement)
+    assert problems.starts.tolist() == [[0, 0]] * 5
+    assert problems.goals.tolist() == [[11, 11]] * 5
+
+
+def test_costs_that_are_too_high_are_refused_by_the_number_of_the_map() -> None:
+    """As in a search, for random problems and for routes."""
+    long_maze = replace(PRESETS["maze"], map_size=(511, 511))
+    generator = Terrain(over=long_maze, costs=(255,))
+    for source in ("route", "random"):
+        with pytest.raises(ValueError, match=r"map 0: terrain: a path costs .*, and costs are"):
+            ProblemSet.sample(generator, 0, 1, problems=source, movement=Movement(8))
+
+
 def small_set() -> ProblemSet:
     """Return three problems on small terrain."""
     terrain = np.array([[1, 9, 3], [2, 0, 4]], np.uint8)
@@ -151,7 +168,8 @@ def small_set() -> ProblemSet:
 
 def as_grids(terrains: Bytes) -> Bytes:
     """Return the grids of terrains."""
-    return (terrains == 0).astype(np.uint8)
+    grids: Bytes = (terrains == 0).astype(np.uint8)
+    return grids
 
 
 def test_the_hash_covers_the_terrain() -> None:
@@ -166,6 +184,17 @@ def test_the_hash_covers_the_terrain() -> None:
     assert replace(problems, description="others").content_hash == golden
 
 
+def test_sampled_sets_on_terrain_have_golden_hashes() -> None:
+    """Sets that planners are compared on stay the same in all later versions."""
+    tiles = ProblemSet.sample("tiles", 0, 20, problems="route", movement=PRESETS["tiles"].movement)
+    golden = "bddd351c219821fdc36f3a208af890b86f2fda06f76b06c67ad6bd7e3a2c4ca1"
+    assert tiles.content_hash == golden
+    conditions = Random(distance=(20, 150), length=(10, None))
+    random = ProblemSet.sample("terrain", 0, 20, problems=conditions, movement=Movement(8))
+    golden = "f1044925eb228f95ffa16acd4745c3b496541a709d9e30d644d9275cff1d5f9c"
+    assert random.content_hash == golden
+
+
 def test_a_saved_set_keeps_its_terrain(tmp_path: Path) -> None:
     """The file holds the terrain in place of the grids, which an older version does not read."""
     problems = small_set()
@@ -175,7 +204,7 @@ def test_a_saved_set_keeps_its_terrain(tmp_path: Path) -> None:
         assert set(file) == {"about", "terrain", "starts", "goals"}
     loaded = ProblemSet.load(path)
     assert loaded.content_hash == problems.content_hash
-    np.testing.assert_array_equal(loaded.terrain, problems.terrain)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(loaded.terrain, problems.terrain)
     np.testing.assert_array_equal(loaded.grids, problems.grids)
     again = tmp_path / "again.npz"
     loaded.save(again)
@@ -241,7 +270,7 @@ def test_terrain_is_copied_and_cannot_be_written_to() -> None:
         np.array([[0, 0]]),
         np.array([[1, 2]]),
         Movement(),
-        terrain=terrain,  # type: ignore[arg-type]
+        terrain=terrain,
     )
     terrain[:] = 7
     assert problems.terrain is not None
@@ -275,3 +304,23 @@ def test_terrain_that_all_problems_share_is_kept_once() -> None:
     assert mixed.map_count == count
     assert mixed.optimal.cost.tolist() == [10 * (4 + k) for k in range(count)]
     assert pickle.loads(pickle.dumps(mixed)).content_hash == mixed.content_hash
+
+
+def test_a_stored_dataset_gives_the_problems_of_its_generator(tmp_path: Path) -> None:
+    """On the maps of its test split, with their terrain and seed points."""
+    build(tmp_path, SMALL, maps=90, seed=9, shard_size=40, workers=1)
+    for source in ("route", Random(distance=(20, None), length=(6, None))):
+        expected = ProblemSet.sample(SMALL, 9, 90, problems=source, movement=Movement(8))
+        stored = ProblemSet.read(tmp_path, problems=source, movement=Movement(8))
+        assert 3 < len(stored) < len(expected)
+        assert stored.terrain is not None
+        assert expected.terrain is not None
+        of_generator = {
+            (terrain.tobytes(), *start.tolist(), *goal.tolist())
+            for terrain, start, goal in zip(
+                expected.terrain, expected.starts, expected.goals, strict=True
+            )
+        }
+        for terrain, start, goal in zip(stored.terrain, stored.starts, stored.goals, strict=True):
+            assert (terrain.tobytes(), *start.tolist(), *goal.tolist()) in of_generator
+        np.testing.assert_array_equal(stored.grids, stored.terrain == 0)

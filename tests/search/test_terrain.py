@@ -377,14 +377,6 @@ def test_a_batch_may_allow_occupied_ends_of_terrain() -> None:
     assert solutions.offsets.tolist() == [0, 0, 2]
 
 
-def test_weighted_searches_refuse_terrain() -> None:
-    """Rather than to search the grid without costs."""
-    with pytest.raises(
-        ValueError, match=r"weights: got \(1, 2.0\) with terrain, expected BFS or A\*"
-    ):
-        solve_batch((1, 2.0), np.zeros((1, 2)), [(0, 0)], [(0, 1)], OCTILE, terrain=[[1, 1]])
-
-
 def test_a_batch_by_bfs_takes_terrain() -> None:
     """BFS counts moves in batches, too."""
     terrain = np.array([[[1, 200, 1], [1, 1, 1]]], np.uint8)

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers.specs import specs
+from helpers.specs import MOVEMENTS, SIDES, specs
+from helpers.terrain_maps import labelled_terrain
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -62,6 +63,8 @@ def reference_record(labels: Labels, place: int) -> bytes:
     bits[:, :width] = maps.occupancy[place]
     record = b"".join(struct.pack("<I", int(word) % 2**32) for word in words)
     record += np.packbits(bits, axis=1, bitorder="little").tobytes()
+    if maps.terrain is not None:
+        record += maps.terrain[place].tobytes()
     record += moves
     return record + bytes(-len(record) % 4)  # zeros up to a whole number of words
 
@@ -88,6 +91,16 @@ def labelled(generator: MapSpec, seed: int, *indices: int) -> Labels:
 def test_any_maps_equal_the_reference(generator: MapSpec, seed: int, indices: list[int]) -> None:
     """The hash is that of the records of docs/format.md, also for indices beyond 32 bits."""
     labels = labelled(generator, seed, *indices)
+    assert content_hash(labels) == reference_hash(labels)
+
+
+@SETTINGS
+@given(st.integers(0, 2**32), SIDES, SIDES, st.integers(1, 4), st.sampled_from(MOVEMENTS))
+def test_any_terrain_equals_the_reference(
+    seed: int, rows: int, columns: int, count: int, movement: Movement
+) -> None:
+    """With the terrain of a map behind its cells, and half units as costs."""
+    labels = labelled_terrain(seed, (rows, columns), count, movement)
     assert content_hash(labels) == reference_hash(labels)
 
 
@@ -213,6 +226,21 @@ def test_every_value_counts(change: Change) -> None:
     labels = labelled(SPECS["4"], 3, 3, 4)
     changed = change(labels)
     assert content_hash(changed) == reference_hash(changed) != content_hash(labels)
+
+
+def test_every_cost_of_terrain_counts() -> None:
+    """Another cost of a cell changes the hash, and so does leaving out the terrain."""
+    labels = labelled_terrain(3, (5, 7), 2, Movement(8))
+    assert labels.maps.terrain is not None
+    hashes = {content_hash(labels)}
+    for k in range(labels.maps.terrain.size):
+        terrain = labels.maps.terrain.copy()
+        terrain.flat[k] ^= 1
+        changed = replace(labels, maps=replace(labels.maps, terrain=terrain))
+        assert content_hash(changed) == reference_hash(changed)
+        hashes.add(content_hash(changed))
+    hashes.add(content_hash(replace(labels, maps=replace(labels.maps, terrain=None))))
+    assert len(hashes) == labels.maps.terrain.size + 2
 
 
 def test_maps_with_swapped_numbers_are_other_maps() -> None:

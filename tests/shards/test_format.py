@@ -21,7 +21,7 @@ import numpy.typing as npt
 import pytest
 from helpers import reference
 
-from mapdata import Labels, MapSpec, build, generate, label
+from mapdata import Labels, MapGenerator, MapSpec, Terrain, build, generate, label
 from mapdata.movement import Movement
 
 Array: TypeAlias = npt.NDArray[Any]
@@ -62,6 +62,12 @@ SPECS = {
     ),
 }
 
+TERRAINS = {
+    "4": Terrain((20, 70), seed_points=4, obstacles=0.2),
+    "8": Terrain((9, 130), seed_points=3, obstacles=0.2, movement=Movement(8)),
+    "8-one": Terrain((12, 12), seed_points=5, movement=Movement(8, True, 1.0)),
+}
+
 
 # --- the page as a reader -----------------------------------------------------------------------
 
@@ -89,6 +95,7 @@ class Map(NamedTuple):
     sizes: list[list[int]]
     directions: list[list[int]]
     planners: dict[str, Planner]
+    terrain: Array | None
 
 
 def read(path: Path) -> tuple[dict[str, Any], list[Map]]:
@@ -125,6 +132,7 @@ def map_of(attributes: dict[str, Any], data: dict[str, Array], m: int) -> Map:
         planners={
             name: planner_of(attributes, data, name, m, passages) for name in ("bfs", "astar")
         },
+        terrain=data["terrain"][m] if attributes["format_version"] == 3 else None,
     )
 
 
@@ -176,10 +184,11 @@ def pair_of(stored_map: Map, q: int) -> int:
 def matrix_of(stored_map: Map, search: str, diagonal_cost: float) -> Array:
     """Return the connection matrix."""
     search_labels = stored_map.planners[search]
+    units = 1 if stored_map.terrain is None or search == "bfs" else 2
     n = len(stored_map.seed_points)
     matrix = np.zeros((n, n))
     for pair, (i, j) in enumerate(combinations(range(n), 2)):
-        cost = search_labels.straight[pair] + search_labels.diagonal[pair] * diagonal_cost
+        cost = (search_labels.straight[pair] + search_labels.diagonal[pair] * diagonal_cost) / units
         if search_labels.straight[pair] == -1:
             cost = -1
         matrix[i, j] = cost
@@ -206,6 +215,8 @@ def record_of(stored_map: Map) -> bytes:
         for straight, diagonal in zip(search.straight, search.diagonal, strict=True):
             words += [straight, diagonal]
     record = b"".join(struct.pack("<I", word % 2**32) for word in words) + stored_map.bits
+    if stored_map.terrain is not None:
+        record += stored_map.terrain.tobytes()
     for search in (stored_map.planners["bfs"], stored_map.planners["astar"]):
         record += bytes(move for moves in search.moves for move in moves)
     return record + bytes(-len(record) % 4)
@@ -257,7 +268,7 @@ def names(heading: str) -> Row:
 class Dataset(NamedTuple):
     """A built dataset, and what it should hold."""
 
-    generator: MapSpec
+    generator: MapGenerator
     root: Path
     shards: list[Path]
     labels: Labels
@@ -325,6 +336,70 @@ def test_paths_begin_and_end_at_the_seeds(dataset: Dataset) -> None:
                         stored_map.seed_points[q + 1],
                     )
                     assert not any(stored_map.occupancy[row, column] for row, column in cells)
+
+
+@pytest.fixture(scope="module", params=TERRAINS)
+def terrain_dataset(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Dataset:
+    """Five maps of terrain in two shards."""
+    generator = TERRAINS[request.param]
+    root = tmp_path_factory.mktemp("terrain") / "maps"
+    build(root, generator, maps=5, seed=SEED, shard_size=SHARD_SIZE, workers=1)
+    labels = label(generate(generator, SEED, range(5)))
+    return Dataset(generator, root, sorted(root.glob("maps-*.h5")), labels)
+
+
+def test_the_page_reads_terrain(terrain_dataset: Dataset) -> None:
+    """Costs of cells and of paths, moves and hashes of version 3 are those that mapdata makes."""
+    labels = terrain_dataset.labels
+    movement = terrain_dataset.generator.movement
+    every = []
+    for path in terrain_dataset.shards:
+        attributes, maps = read(path)
+        assert attributes["format_version"] == 3
+        assert attributes["content_hash"] == hash_of(maps)
+        recipe = {
+            "format_version": 3,
+            "seed": int(attributes["seed"]),
+            "spec": json.loads(attributes["spec"]),
+        }
+        assert attributes["identity"] == hashlib.sha256(canonical(recipe).encode()).hexdigest()
+        every += maps
+    manifest = json.loads((terrain_dataset.root / "manifest.json").read_text(encoding="utf-8"))
+    assert manifest["format_version"] == 3
+    assert list(manifest) == names("key")
+    assert manifest["content_hash"] == hash_of(every)
+    for i, stored_map in enumerate(every):
+        terrain = stored_map.terrain
+        assert terrain is not None
+        np.testing.assert_array_equal(terrain == 0, stored_map.occupancy)
+        assert labels.maps.terrain is not None
+        np.testing.assert_array_equal(terrain, labels.maps.terrain[i])
+        for search in ("bfs", "astar"):
+            paths = [path_of(stored_map, search, q) for q in range(labels.maps.rooms[i] - 1)]
+            assert paths == [segment.tolist() for segment in labels.route(search, i)]
+            step = 1.0 if search == "bfs" else movement.diagonal_cost
+            np.testing.assert_array_equal(
+                matrix_of(stored_map, search, step), labels.matrix(search, i)
+            )
+        # The stored cost is that of the stored path, added up cell by cell.
+        for q, segment in enumerate(labels.route("astar", i)):
+            cells = [(row, column) for row, column in segment.tolist()]
+            cost = reference.path_cost(cells, movement, terrain.tolist())
+            assert labels.matrix("astar", i)[q, q + 1] == cost
+
+
+def test_the_tables_list_every_dataset_of_version_3(terrain_dataset: Dataset) -> None:
+    """Section 3 and section 11 together name all datasets, with their types and shapes."""
+    sides = terrain_dataset.labels.maps.occupancy.shape[1:]
+    for path in terrain_dataset.shards:
+        with h5py.File(path, "r") as file:
+            assert sorted(file) == sorted({*names("dataset"), *names("dataset of version 3")})
+            for name, kind, *_ in (*table("dataset"), *table("dataset of version 3")):
+                assert file[name].dtype == np.dtype(kind).newbyteorder("<"), name
+            assert file["terrain"].shape == (len(file["split"]), *sides)
+            assert file["astar_diagonal"].shape in (file["astar_straight"].shape, (0,))
 
 
 def draw(word: int, limits: Sequence[int]) -> int:

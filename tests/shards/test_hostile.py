@@ -24,7 +24,7 @@ from helpers import hostile, run_helper, wild
 from helpers.builds import SOUND_SEED, SOUND_SPEC
 from torch import nn
 
-from mapdata import build
+from mapdata import Movement, Terrain, build
 from mapdata.limits import SPLITS
 from mapdata.models.model import load_model
 from mapdata.models.path_predictor import PathPredictor
@@ -49,7 +49,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def shard_cases(folder: Path, sound: Path) -> Iterator[Case]:
-    """Write every fault of tests/helpers/hostile.py."""
+    """Write every fault of tests/helpers/hostile.py, and those of terrain."""
     shard = next(sound.glob("*.h5"))
     contents = hostile.read_contents(shard)
     members = [(fault.dataset, fault.member) for fault in hostile.DATASETS.values()]
@@ -58,6 +58,26 @@ def shard_cases(folder: Path, sound: Path) -> Iterator[Case]:
         hostile.write(folder / f"data{k}.h5", contents, shard, {name: member})
     for k, fault in enumerate(hostile.ATTRIBUTES.values()):
         hostile.write(folder / f"attribute{k}.h5", contents, shard, attributes=fault.values)
+    terrain_root = folder / "terrain"
+    build(terrain_root, Terrain((20, 70), movement=Movement(8)), maps=3, seed=SOUND_SEED)
+    terrain_shard = next(terrain_root.glob("*.h5"))
+    terrain_contents = hostile.read_contents(terrain_shard)
+    terrain_members = [
+        fault.member for fault in hostile.DATASETS.values() if fault.dataset == "maps"
+    ]
+    for k, member in enumerate((*terrain_members, *hostile.ELSEWHERE.values())):
+        # An array of 255 is sound terrain, although it does not agree with the maps.
+        if member is not hostile.DATASETS["all-walls"].member:
+            hostile.write(
+                folder / f"terrain{k}.h5", terrain_contents, terrain_shard, {"terrain": member}
+            )
+    for version in (1, 2):
+        hostile.write(
+            folder / f"version{version}.h5",
+            terrain_contents,
+            terrain_shard,
+            attributes={"format_version": version},
+        )
     for k, (_, change) in enumerate(hostile.BYTES.values()):
         (folder / f"bytes{k}.h5").write_bytes(change(contents.image))
     hostile.write_moved(folder / "beyond.h5", contents, 2**62)

@@ -40,6 +40,14 @@ HASHES = {
         "a3bf5b10b6195a829845faaba793ba429b011112c29cb7d27ce98a017c255754",
         "0cf15d9ae549efa8b0f5ac5670321b7a2ad9ea9246683c7c452112bfcdda978f",
     ),
+    "format-3": (
+        "ee1a7243bce75b4f5ba0785fa64dcec7895f08cd3e6b95422f401c50d548ab34",
+        "058764249b7c9cb2c9e8365dd96f241b2335d21f604b124ac6039e48864333b8",
+    ),
+    "format-3-imported": (
+        "2a43080de60cc0fe5901f586e2d9dc53557ee821e8615c1855edce1c5f2765b8",
+        "29ff34c86431fe4de331597495ac972d1a77310b6fa6048621d7c522e3703034",
+    ),
 }
 """Of each kept dataset the content hash and that of its stored problems. A new format adds lines,
 none is changed.
@@ -49,9 +57,12 @@ none is changed.
 def samples_hash(root: Path) -> str:
     """Return the hash of all samples of a dataset: the stored problems of both searches."""
     digest = hashlib.sha256()
+    fields: tuple[str, ...] = FIELDS
+    if read_manifest(root).has_terrain:
+        fields = (*FIELDS, "terrain", "cost")
     for search in ("bfs", "astar"):
         for problems in ("route", "pairs"):
-            dataset = MapDataset(root, fields=FIELDS, search=search, problems=problems)
+            dataset = MapDataset(root, fields=fields, search=search, problems=problems)
             for value in dataset[:]:
                 digest.update(np.ascontiguousarray(value.numpy()).tobytes())
     return digest.hexdigest()
@@ -73,7 +84,7 @@ def test_kept_datasets_read_to_the_same_hash(name: str) -> None:
     assert verify(root) == []
 
 
-@pytest.mark.parametrize("name", ["format-1", "format-2"])
+@pytest.mark.parametrize("name", ["format-1", "format-2", "format-3"])
 def test_a_kept_recipe_gives_the_kept_content(name: str, tmp_path: Path) -> None:
     """The few lines of JSON that were kept make the same maps and labels today."""
     manifest = read_manifest(KEPT / name)

@@ -1,0 +1,288 @@
+"""Measure costs that are learned from images: python docs/image_tables.py FILE [--only TEXT].
+
+Each row of the table trains a `mapdata.models.CostPredictor` on images and shortest paths and
+scores it on 1,000 new maps of seed 77. FILE collects the rows as JSON and grows: a row that it
+already has is not measured again, so that the command can be stopped and run again. At the end the
+table is printed as Markdown, as docs/planners.md shows it. All rows take one core about an hour.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import time
+import warnings
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytorch_lightning as pl
+import torch
+from torch.utils.data import DataLoader
+
+from mapdata import (
+    MapGenerator,
+    OnlineMapDataset,
+    ProblemSet,
+    ProblemSetDataset,
+    Terrain,
+    Tiles,
+    search_batch,
+)
+from mapdata.arrays import Bytes
+from mapdata.evaluation import score_paths
+from mapdata.models import CostPredictor
+from mapdata.models.cost_predictor import TRAINING_FIELDS
+from mapdata.search import BatchResult
+
+TEST_SEED = 77
+TEST_MAPS = 1000
+TEST_TEXTURES = 1
+"""The seed of textures that no training has seen; those of the training have seed 0."""
+
+NOISE = 8
+"""Standard deviation of the noise of all images, in grey levels."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """Maps of a row.
+
+    Attributes:
+        generator: draws the maps.
+        problems: the problems on them.
+        batch_size: maps of a training step.
+        minutes: longest time of a training, of one core.
+    """
+
+    generator: MapGenerator
+    problems: str
+    batch_size: int
+    minutes: float
+
+
+def _tiles(side: int) -> Terrain:
+    """Return the preset ``tiles`` with maps of another size."""
+    preset = Terrain.preset("tiles")
+    return Terrain(
+        (side, side),
+        costs=preset.costs,
+        scale=preset.scale,
+        obstacles=0.0,
+        corners=True,
+        movement=preset.movement,
+    )
+
+
+FAMILIES = {
+    "tiles 12": Family(_tiles(12), "route", 16, 1.5),
+    "tiles 18": Family(_tiles(18), "route", 16, 0.9),
+    "tiles 24": Family(_tiles(24), "route", 16, 1.4),
+    "tiles 30": Family(_tiles(30), "route", 16, 2.0),
+    "terrain 64": Family(Terrain.preset("terrain"), "random", 8, 2.5),
+}
+"""The maps by the names of the table: ``tiles`` of several sizes, and ``terrain``."""
+
+TRAINING_SIZES = (10_000, 1_000)
+SEEDS = (0, 1, 2)
+
+
+class Deadline(pl.Callback):
+    """Ends a training after some time of this process, and anneals the learning rate to it."""
+
+    def __init__(self, seconds: float, learning_rate: float) -> None:
+        """Begin with the first step."""
+        self.seconds = seconds
+        self.learning_rate = learning_rate
+        self.began = 0.0
+        self.steps = 0
+
+    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Start the clock."""
+        self.began = time.process_time()
+
+    def on_train_batch_start(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, batch: Any, batch_idx: int
+    ) -> None:
+        """Set the learning rate: 50 steps of warming up, then a half cosine to its 50th part."""
+        share = min(1.0, (time.process_time() - self.began) / self.seconds)
+        warmth = min(1.0, (self.steps + 1) / 50)
+        annealed = max(0.02, 0.5 + 0.5 * np.cos(np.pi * share))
+        for group in trainer.optimizers[0].param_groups:
+            group["lr"] = self.learning_rate * warmth * annealed
+        self.steps += 1
+        trainer.should_stop = share >= 1
+
+
+class TimedCostPredictor(CostPredictor):
+    """A `CostPredictor` whose learning rate a `Deadline` sets."""
+
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        """Return Adam without a schedule."""
+        return torch.optim.Adam(self.parameters(), self.hparams["learning_rate"])
+
+
+def train(family: Family, maps: int, loss: str, seed: int) -> tuple[CostPredictor, dict[str, Any]]:
+    """Return a model that is trained on new maps of a family, and what the training took."""
+    pl.seed_everything(seed, verbose=False)
+    data = OnlineMapDataset(
+        family.generator,
+        seed=1000 + seed,
+        length=maps,
+        split=None,
+        fields=(*TRAINING_FIELDS, Tiles(alike=True, noise=NOISE)),
+        problems=family.problems,
+    )
+    loader = DataLoader(data, family.batch_size, shuffle=True, drop_last=True)
+    movement = family.generator.movement
+    model = TimedCostPredictor(
+        movement.connectivity,
+        movement.corner_cutting,
+        movement.diagonal_cost,
+        loss=loss,  # type: ignore[arg-type]
+    )
+    deadline = Deadline(60 * family.minutes, model.hparams["learning_rate"])
+    trainer = pl.Trainer(
+        accelerator="cpu",
+        max_epochs=-1,
+        callbacks=[deadline],
+        logger=False,
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+    )
+    trainer.fit(model, loader)
+    return model, {"seconds": round(60 * family.minutes), "steps": deadline.steps}
+
+
+def problems_of(family: Family) -> ProblemSet:
+    """Return the problems that all models of a family are scored on."""
+    return ProblemSet.sample(
+        family.generator,
+        seed=TEST_SEED,
+        maps=TEST_MAPS,
+        movement=family.generator.movement,
+        problems=family.problems,
+    )
+
+
+def predicted_terrain(model: CostPredictor, problems: ProblemSet, textures: int) -> Bytes:
+    """Return the terrain that a model sees in the images of problems, (N, H, W)."""
+    image = Tiles(alike=True, noise=NOISE, seed=textures)
+    dataset = ProblemSetDataset(problems, fields=("map", image))
+    terrain = [
+        model.predict(batch.image.numpy(), batch.map[:, 0].numpy())
+        for batch in DataLoader(dataset, batch_size=20)
+    ]
+    return np.concatenate(terrain)
+
+
+def searched(problems: ProblemSet, terrain: Bytes | None) -> BatchResult:
+    """Return the shortest paths of problems under some costs; None for equal costs."""
+    ends = problems.starts, problems.goals
+    return search_batch("astar", problems.grids, *ends, problems.movement, terrain=terrain)
+
+
+def scores(problems: ProblemSet, terrain: Bytes | None) -> dict[str, float]:
+    """Return regret and share of optimal paths, with intervals, of searching on ``terrain``."""
+    row = score_paths(problems, searched(problems, terrain)).iloc[0]
+    names = ("regret", "regret_low", "regret_high", "opt", "opt_low", "opt_high")
+    return {name: float(row[name]) for name in names}
+
+
+def measure(name: str, maps: int, loss: str, seed: int) -> dict[str, Any]:
+    """Return one row of the file."""
+    family = FAMILIES[name]
+    problems = problems_of(family)
+    row: dict[str, Any] = {
+        "maps": name,
+        "set": problems.content_hash,
+        "generator": family.generator.to_dict(),
+        "training_maps": maps,
+        "loss": loss,
+        "seed": seed,
+        "movement": asdict(problems.movement),
+        "noise": NOISE,
+    }
+    if loss == "none":
+        return {**row, **scores(problems, None)}
+    model, effort = train(family, maps, loss, seed)
+    seen = scores(problems, predicted_terrain(model, problems, textures=0))
+    new = scores(problems, predicted_terrain(model, problems, TEST_TEXTURES))
+    of_new_textures = {f"new_textures_{key}": score for key, score in new.items()}
+    parameters = sum(weight.numel() for weight in model.parameters())
+    return {**row, "parameters": parameters, **effort, **seen, **of_new_textures}
+
+
+def plan() -> list[tuple[str, int, str, int]]:
+    """Return the rows to measure, those that matter most first: (maps, number, loss, seed)."""
+    rows: list[tuple[str, int, str, int]] = [(name, 0, "none", 0) for name in FAMILIES]
+    for seed in SEEDS:
+        rows += [(name, maps, "paths", seed) for name in FAMILIES for maps in TRAINING_SIZES]
+        if seed == 0:
+            rows += [(name, 10_000, "terrain", seed) for name in FAMILIES]
+            rows += [("tiles 12", 10_000, "expansions", seed)]
+    return rows
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Return the rows as a Markdown table, the seeds of a training as one row of means."""
+    frame = pd.DataFrame(rows)
+    lines = [
+        "| maps | taught by | training maps | optimal | regret | new textures: optimal | regret |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    taught_by = {
+        "none": "nothing: all cells cost the same",
+        "paths": "paths",
+        "terrain": "the true costs",
+        "expansions": "paths, by the loss of Neural A*",
+    }
+    for (maps, loss, count), group in frame.groupby(["maps", "loss", "training_maps"], sort=False):
+        cells = [str(maps), taught_by[str(loss)], f"{count:,}" if count else ""]
+        for name, digits in (
+            ("opt", 1),
+            ("regret", 3),
+            ("new_textures_opt", 1),
+            ("new_textures_regret", 2),
+        ):
+            if name not in group or group[name].isna().all():
+                cells.append("")
+                continue
+            percent = 100 * group[name]
+            text = f"{percent.mean():.{digits}f} %"
+            if len(group) > 1:
+                text += f" ({percent.min():.{digits}f} to {percent.max():.{digits}f})"
+            cells.append(text)
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure the rows that the file lacks, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--only", default="", help="measure the maps whose name holds this text")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    logging.getLogger("pytorch_lightning").setLevel(logging.ERROR)
+    warnings.filterwarnings("ignore", module="pytorch_lightning")
+    rows: list[dict[str, Any]] = []
+    if arguments.file.exists():
+        rows = json.loads(arguments.file.read_text())
+    measured = {(row["maps"], row["training_maps"], row["loss"], row["seed"]) for row in rows}
+    for key in plan():
+        if key in measured or arguments.only not in key[0]:
+            continue
+        rows.append(measure(*key))
+        arguments.file.write_text(json.dumps(rows, indent=1) + "\n")
+        shown = {k: v for k, v in rows[-1].items() if k not in ("generator", "movement", "set")}
+        print(json.dumps(shown), flush=True)
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,440 @@
+"""Planners on terrain: slow references, scipy's costs, and the scores of their table."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pytest
+from helpers import reference
+from helpers.reference import Cell
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+
+from mapdata import Plan, ProblemSet, astar, check_path, evaluate, search_batch
+from mapdata.arrays import Bytes, Ints
+from mapdata.evaluation import (
+    METRICS,
+    TERRAIN_METRICS,
+    Batched,
+    BestFirst,
+    GoalFieldAstar,
+    JumpPointSearch,
+    Limit,
+    Search,
+    classical,
+    score_paths,
+    to_text,
+)
+from mapdata.movement import NEURAL_ASTAR, Movement
+from mapdata.search.api import solve_batch
+
+MOVEMENTS = [
+    Movement(),
+    Movement(8),
+    Movement(8, corner_cutting=True),
+    Movement(8, diagonal_cost=1),
+]
+movements = pytest.mark.parametrize("movement", MOVEMENTS, ids=["4", "8", "8-cutting", "8-one"])
+OCTILE = Movement(8)
+
+
+def terrains(count: int, seed: int) -> Iterator[tuple[Bytes, Cell, Cell]]:
+    """Yield scattered terrain of any shape with two free cells, connected or not."""
+    source = np.random.default_rng(seed)
+    for _ in range(count):
+        shape = source.integers(1, 14, size=2)
+        levels = np.array([(1, 2, 5), (3, 8, 12), (7, 100, 255)])[source.integers(3)]
+        terrain = source.choice(levels, shape).astype(np.uint8)
+        (row, column), (goal_row, goal_column) = source.integers(0, shape, size=(2, 2)).tolist()
+        is_occupied = source.random(shape) < source.uniform(0, 0.5)
+        is_occupied[[row, goal_row], [column, goal_column]] = False
+        terrain[is_occupied] = 0
+        yield terrain, (row, column), (goal_row, goal_column)
+
+
+def reference_best_first(
+    terrain: Bytes,
+    start: Cell,
+    goal: Cell,
+    movement: Movement,
+    weight: float,
+    uses_path_cost: bool,
+) -> Plan:
+    """Pop the least f = g + weight * h, among equal f the latest push, in exact fractions."""
+    rows = terrain.tolist()
+    grid = (terrain == 0).astype(int).tolist()
+    factor = 2 * int(terrain[terrain > 0].min())
+
+    def f(cost: reference.Pair, cell: Cell) -> Fraction:
+        heuristic = reference.weigh(reference.heuristic(cell, goal, movement, factor), movement)
+        path_cost = reference.weigh(cost, movement) if uses_path_cost else 0
+        return path_cost + Fraction(weight) * heuristic
+
+    frontier = [(f((0, 0), start), 0, start)]
+    costs = {start: (0, 0)}
+    parents = {start: start}
+    expanded: set[Cell] = set()
+    pushes = 0
+    while frontier:
+        cell = heapq.heappop(frontier)[2]
+        if cell in expanded:
+            continue
+        expanded.add(cell)
+        if cell == goal:
+            return Plan(np.array(reference.trace(parents, goal), np.int64), len(expanded))
+        for neighbour, step in reference.neighbours(grid, cell, movement, rows):
+            cost = reference.add(costs[cell], step)
+            if neighbour in costs and reference.weigh(cost, movement) >= reference.weigh(
+                costs[neighbour], movement
+            ):
+                continue
+            costs[neighbour] = cost
+            parents[neighbour] = cell
+            if neighbour not in expanded:
+                pushes += 1
+                heapq.heappush(frontier, (f(cost, neighbour), -pushes, neighbour))
+    return Plan(np.empty((0, 2), np.int64), len(expanded))
+
+
+@movements
+@pytest.mark.parametrize(
+    ("weight", "uses_path_cost"), [(0, True), (1, True), (1.25, True), (3, True), (1, False)]
+)
+def test_best_first_search_on_terrain_equals_the_reference(
+    movement: Movement, weight: float, uses_path_cost: bool
+) -> None:
+    """Path and expansions, with and without a path; the cost in a batch is that of the path."""
+    planner = BestFirst("it", movement, weight, uses_path_cost)
+    solved = 0
+    for terrain, start, goal in terrains(40, 1):
+        grid = (terrain == 0).astype(np.uint8)
+        expected = reference_best_first(terrain, start, goal, movement, weight, uses_path_cost)
+        plan = planner.plan(grid, start, goal, terrain=terrain)
+        np.testing.assert_array_equal(plan.path, expected.path)
+        assert plan.expansions == expected.expansions
+        solved += len(plan.path) > 0
+    assert 0 < solved < 40
+
+
+def scipy_cost(terrain: Bytes, start: Cell, goal: Cell, movement: Movement) -> float:
+    """Return the least cost on scipy's graph, inf without a path."""
+    grid = (terrain == 0).astype(int).tolist()
+    cells = [(row, column) for row, column in np.argwhere(terrain > 0).tolist()]
+    number = {cell: k for k, cell in enumerate(cells)}
+    edges = []
+    for cell in cells:
+        for neighbour, _ in reference.neighbours(grid, cell, movement):
+            length = (
+                movement.diagonal_cost if cell[0] != neighbour[0] and cell[1] != neighbour[1] else 1
+            )
+            mean = (int(terrain[cell]) + int(terrain[neighbour])) / 2
+            edges.append((number[cell], number[neighbour], mean * length))
+    if not edges:
+        return 0.0 if start == goal else np.inf
+    tails, heads, costs = zip(*edges, strict=True)
+    graph = coo_array((costs, (tails, heads)), shape=(len(cells), len(cells))).tocsr()
+    return float(dijkstra(graph, indices=number[start])[number[goal]])
+
+
+@movements
+def test_the_costs_of_optimal_planners_are_scipys(movement: Movement) -> None:
+    """Those of Dijkstra's search and of A* with the exact goal field; no path where scipy has none.
+
+    The latter expands the cells of its path, and prepares all cells that reach the goal.
+    """
+    for terrain, start, goal in terrains(40, 2):
+        grid = (terrain == 0).astype(np.uint8)
+        expected = scipy_cost(terrain, start, goal, movement)
+        for planner in (BestFirst("Dijkstra", movement, 0), GoalFieldAstar("exact", movement)):
+            plan = planner.plan(grid, start, goal, terrain=terrain)
+            cost = np.inf
+            if len(plan.path):
+                cost = check_path(grid, plan.path, movement, terrain=terrain)
+                assert cost == astar(grid, start, goal, movement, terrain=terrain).cost
+            assert cost == pytest.approx(expected, rel=1e-12)
+        assert plan.expansions == len(plan.path)
+        reached = reference.reference_distances(grid.tolist(), goal, movement, terrain.tolist())
+        assert plan.prepared == len(reached)
+
+
+@movements
+def test_the_goal_field_takes_the_last_optimal_move(movement: Movement) -> None:
+    """In the order of `STEPS`, which is the cell that A* would push last."""
+    for terrain, start, goal in terrains(25, 3):
+        grid = (terrain == 0).astype(np.uint8)
+        costs = reference.reference_distances(grid.tolist(), goal, movement, terrain.tolist())
+        path = [start]
+        while start in costs and path[-1] != goal:
+            cell = path[-1]
+            optimal = [
+                neighbour
+                for neighbour, step in reference.neighbours(
+                    grid.tolist(), cell, movement, terrain.tolist()
+                )
+                if neighbour in costs
+                and reference.weigh(reference.add(costs[neighbour], step), movement)
+                == reference.weigh(costs[cell], movement)
+            ]
+            path.append(optimal[-1])
+        plan = GoalFieldAstar("exact", movement).plan(grid, start, goal, terrain=terrain)
+        assert plan.path.tolist() == ([list(cell) for cell in path] if start in costs else [])
+
+
+def tiles(count: int, movement: Movement = NEURAL_ASTAR, seed: int = 0) -> ProblemSet:
+    """Return problems on terrain of 12 x 12 cells."""
+    return ProblemSet.sample("tiles", seed, count, movement=movement)
+
+
+@movements
+def test_weighted_costs_on_terrain_are_bounded(movement: Movement) -> None:
+    """The cost is at most max(1, weight) times the optimal one, and more for some problem."""
+    problems = tiles(60, movement)
+    for weight in (0, 0.5, 1, 2, 5):
+        ends = problems.starts, problems.goals
+        assert problems.terrain is not None
+        solved = solve_batch(
+            (1, float(weight)), problems.grids, *ends, movement, terrain=problems.terrain
+        )
+        costs = [
+            check_path(grid, solved.cells[first:end], movement, terrain=terrain)
+            for grid, terrain, first, end in zip(
+                problems.grids,
+                problems.terrain,
+                solved.offsets[:-1],
+                solved.offsets[1:],
+                strict=True,
+            )
+        ]
+        assert solved.cost.tolist() == costs
+        ratios = costs / problems.optimal.cost
+        assert ratios.max() <= max(1, weight) + 1e-12
+        assert (ratios.max() > 1) == (weight > 1)
+
+
+def test_a_weight_whose_products_do_not_fit_into_64_bits_is_refused() -> None:
+    """The smallest cost of a cell counts, since the heuristic has it as a factor."""
+    terrain = np.full((64, 64), 200, np.uint8)
+    grid = np.zeros_like(terrain)
+    planner = BestFirst("weighted", OCTILE, 20)
+    assert len(planner.plan(grid, (0, 0), (63, 63), terrain=terrain).path) == 64
+    with pytest.raises(ValueError, match="too large"):
+        replace(planner, weight=21).plan(grid, (0, 0), (63, 63), terrain=terrain)
+
+
+def test_costs_on_terrain_that_are_too_high_are_refused_by_every_planner() -> None:
+    """They are not exact from 1,048,576 on, where diagonal moves cost sqrt(2)."""
+    terrain = np.full((1, 9000), 255, np.uint8)
+    for planner in (BestFirst("weighted", OCTILE, 0.1), GoalFieldAstar("exact", OCTILE)):
+        with pytest.raises(ValueError, match="problem 0: terrain: a path costs 1,048,"):
+            planner.plan(terrain * 0, (0, 0), (0, 8999), terrain=terrain)
+    path = (
+        GoalFieldAstar("exact", Movement())
+        .plan(terrain * 0, (0, 0), (0, 8999), terrain=terrain)
+        .path
+    )
+    assert len(path) == 9000
+
+
+def test_bad_problems_on_terrain_are_refused() -> None:
+    """A start on an occupied cell, a goal outside, and terrain that does not fit the grid."""
+    terrain = np.array([[1, 0, 3]], np.uint8)
+    grid = (terrain == 0).astype(np.uint8)
+    for planner in (
+        Search("A*", OCTILE, "astar"),
+        BestFirst("weighted A*", OCTILE, 2),
+        GoalFieldAstar("exact", OCTILE),
+        Limit("limit", OCTILE),
+    ):
+        for start, goal, reason in (
+            ((0, 1), (0, 0), "start: .* occupied"),
+            ((0, 0), (0, 3), "goal: .* outside"),
+        ):
+            with pytest.raises(ValueError, match=f"problem 0: {reason}"):
+                planner.plan(grid, start, goal, terrain=terrain)
+        with pytest.raises(ValueError, match="terrain: got 1 at"):
+            planner.plan(grid, (0, 0), (0, 2), terrain=np.ones((1, 3), np.uint8))
+
+
+# --- the table ----------------------------------------------------------------------------------
+
+
+def row(table: pd.DataFrame, planner: str, subset: str = "all") -> pd.Series:
+    """Return one row of a table."""
+    rows = table[(table["planner"] == planner) & (table["subset"] == subset)]
+    assert len(rows) == 1
+    return rows.iloc[0]
+
+
+@pytest.mark.parametrize("movement", [*MOVEMENTS, NEURAL_ASTAR], ids=str)
+def test_the_table_of_classical_planners_on_terrain(movement: Movement) -> None:
+    """Optimal planners have no regret, and those that do not see the terrain have one."""
+    problems = tiles(40, movement, seed=3)
+    table = evaluate(classical(movement, terrain=True), problems, bootstrap=20)
+    for name in ("Dijkstra", "A*", "A* with the exact goal field", "limit"):
+        for end in ("", "_low", "_high"):
+            assert row(table, name)[f"opt{end}"] == 1
+            assert row(table, name)[f"regret{end}"] == 0
+    assert row(table, "A*")["expansion_ratio"] == 1
+    for name in ("BFS", "A* on mean cost"):
+        assert row(table, name)["regret_low"] > 0.1
+    assert (table["success"] == 1).all()
+    assert "jump point search" not in set(table["planner"])
+    text = to_text(table)
+    assert "regret" in text
+    # All problems are hard, so that a second block would repeat the first one.
+    assert row(table, "A*", "hard")["n"] == len(problems)
+    assert "hard" not in text
+
+
+def test_the_scores_on_terrain_by_hand() -> None:
+    """A path over the hill, another optimum than that of A*, and a path through a wall."""
+    hill = np.array([[1, 9, 1], [1, 1, 1], [1, 1, 1]], np.uint8)
+    wall = np.array([[2, 0, 2], [2, 2, 2], [2, 2, 2]], np.uint8)
+    stack = np.stack([hill, np.full((3, 3), 4, np.uint8), wall])
+    starts = np.zeros((3, 2), np.int64)
+    goals = np.array([(0, 2), (2, 2), (0, 2)])
+    grids = (stack == 0).astype(np.uint8)
+    problems = ProblemSet(grids, starts, goals, Movement(), terrain=stack)
+    assert problems.optimal.cost.tolist() == [4, 16, 8]
+    expected_path = problems.optimal.cells[slice(*problems.optimal.offsets[1:3])].tolist()
+    other_optimum = [(row, column) for column, row in expected_path]  # mirrored at the diagonal
+    assert [list(cell) for cell in other_optimum] != expected_path
+    paths: list[Sequence[Cell]] = [
+        [(0, 0), (0, 1), (0, 2)],
+        other_optimum,
+        [(0, 0), (0, 1), (0, 2)],
+    ]
+    scores = row(score_paths(problems, paths, name="mine"), "mine")
+    assert scores["success"] == 2 / 3
+    assert scores["opt"] == 1 / 3
+    assert scores["cost_ratio"] == pytest.approx((10 / 4 + 1) / 2, rel=1e-12)
+    assert scores["regret"] == pytest.approx((10 / 4 + 1) / 2 - 1, rel=1e-12)
+    assert np.isnan(scores[["expansion_ratio", "p_exp", "hmean", "ms"]].astype(float)).all()
+
+
+def test_regret_is_the_mean_over_solved_problems_with_a_bootstrapped_interval() -> None:
+    """The mean and its interval are those of numpy on each problem's true cost."""
+    problems = tiles(300)
+    table = evaluate([Search("blind", NEURAL_ASTAR, "astar", uses_terrain=False)], problems)
+    assert problems.terrain is not None
+    regrets = []
+    for k, cost in enumerate(problems.optimal.cost):
+        start, goal = problems.starts[k], problems.goals[k]
+        path = astar(problems.grids[k], start, goal, NEURAL_ASTAR).path
+        true_cost = check_path(problems.grids[k], path, NEURAL_ASTAR, terrain=problems.terrain[k])
+        regrets.append(true_cost / cost - 1)
+    scores = row(table, "blind")
+    assert scores["regret"] == pytest.approx(np.mean(regrets), rel=1e-9)
+    half_width = 1.96 * np.std(regrets) / 300**0.5
+    assert scores["regret_low"] == pytest.approx(np.mean(regrets) - half_width, abs=0.01)
+    assert scores["regret_high"] == pytest.approx(np.mean(regrets) + half_width, abs=0.01)
+    assert scores["opt"] == np.mean(np.array(regrets) == 0)
+
+
+def test_terrain_of_ones_gives_the_table_of_uniform_maps() -> None:
+    """Apart from times and the column of the regret."""
+    plain = ProblemSet.sample("dungeon", 77, 40, movement=OCTILE)
+    ones = replace(plain, terrain=1 - plain.grids)
+    planners = classical(OCTILE, terrain=True)
+    expected = evaluate(planners, plain, bootstrap=20)
+    table = evaluate(planners, ones, bootstrap=20)
+    regret = [f"regret{end}" for end in ("", "_low", "_high")]
+    assert table.columns.drop(regret).tolist() == expected.columns.tolist()
+    assert table.columns.tolist().index("regret") == table.columns.tolist().index("hmean") + 1
+    scores = expected.columns.drop(["ms", "ms_batched"])
+    pd.testing.assert_frame_equal(table[scores], expected[scores], check_exact=True)
+    np.testing.assert_array_equal(table["regret"], table["cost_ratio"] - 1)
+
+
+@dataclass
+class Recording:
+    """A planner that keeps the terrain it gets, writes to it, and walks nowhere."""
+
+    seen: list[Bytes]
+    name: str = "recording"
+
+    def plan(self, grid: Bytes, start: Cell, goal: Cell, terrain: Bytes | None = None) -> Plan:
+        """Keep the terrain."""
+        assert terrain is not None
+        self.seen.append(terrain.copy())
+        terrain[:] = 0
+        return Plan(np.array([start]), 1)
+
+
+class Blind(Batched):
+    """A planner in batches that does not take terrain."""
+
+    name = "blind"
+
+    def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
+        """Return the paths of A* on the grids."""
+        return Search("A*", NEURAL_ASTAR, "astar").plan_batch(grids, starts, goals)
+
+
+def test_planners_get_the_terrain_if_they_take_it() -> None:
+    """Each gets a copy of its own; those that do not take it plan on the grid alone."""
+    problems = tiles(5)
+    recording = Recording([])
+    table = evaluate([recording, Blind(), *classical(NEURAL_ASTAR, terrain=True)], problems)
+    assert problems.terrain is not None
+    np.testing.assert_array_equal(recording.seen[1:], problems.terrain)
+    assert row(table, "recording")["success"] == 0
+    on_mean_cost = row(table, "A* on mean cost")
+    for name in TERRAIN_METRICS:
+        np.testing.assert_array_equal(row(table, "blind")[name], on_mean_cost[name])
+
+
+def test_jump_point_search_on_terrain_is_refused() -> None:
+    """The message says how to leave it out."""
+    problems = tiles(3, OCTILE)
+    with pytest.raises(ValueError, match=r"got terrain, .* classical\(movement, terrain=True\)"):
+        evaluate([JumpPointSearch("jumps", OCTILE)], problems)
+    with pytest.raises(ValueError, match="jump point search: got terrain"):
+        evaluate(classical(OCTILE), problems)
+
+
+def test_paths_on_predicted_costs_are_scored_on_the_true_ones() -> None:
+    """Searches on the true terrain have no regret; their rows stand beside those of `evaluate`."""
+    problems = tiles(30)
+    ends = problems.starts, problems.goals
+    assert problems.terrain is not None
+
+    def scores(predicted: npt.NDArray[np.integer]) -> pd.Series:
+        paths = search_batch("astar", problems.grids, *ends, NEURAL_ASTAR, terrain=predicted)
+        return row(score_paths(problems, paths, name="predicted"), "predicted")
+
+    exact = scores(problems.terrain)
+    assert [exact[name] for name in TERRAIN_METRICS] == [1, 1, 1, 1, 0, 0, 0]
+    rounded = scores(problems.terrain // 8)  # 8, 12, 53, 77, 92 become 1, 1, 6, 9, 11
+    assert 0 < rounded["regret"] < 0.1
+    assert 0 < rounded["opt"] < 1
+    mean = scores(np.full_like(problems.terrain, 48))
+    table = evaluate([Search("blind", NEURAL_ASTAR, "astar", uses_terrain=False)], problems)
+    for name in ("opt", "regret", "regret_low", "regret_high"):
+        assert mean[name] == row(table, "blind")[name]
+    assert table.columns.tolist() == score_paths(problems, [[]] * 30).columns.tolist()
+
+
+def test_paths_on_uniform_maps_are_scored_without_regret() -> None:
+    """The row of A*'s own paths is that of `evaluate`."""
+    problems = ProblemSet.sample("dungeon", 77, 30, movement=OCTILE)
+    table = score_paths(problems, problems.optimal, name="A*", bootstrap=20)
+    expected = evaluate([Search("A*", OCTILE, "astar")], problems, bootstrap=20)
+    names = ["planner", "subset", "n", *METRICS, *(f"{name}_low" for name in METRICS)]
+    pd.testing.assert_frame_equal(table[names], expected[names], check_exact=True)
+    assert "regret" not in table
+
+
+def test_wrong_numbers_of_paths_are_refused() -> None:
+    """And no resample."""
+    problems = tiles(3)
+    with pytest.raises(ValueError, match="paths: got 2, expected one for each of 3"):
+        score_paths(problems, [[(0, 0)]] * 2)
+    with pytest.raises(ValueError, match="bootstrap: got 0"):
+        score_paths(problems, problems.optimal, bootstrap=0)

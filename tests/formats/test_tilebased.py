@@ -1,0 +1,175 @@
+"""The layout of tilebased_navigation_datasets: files by its description, and damaged ones."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.weighted import draw_costs, shortest_path, tile_arrays
+from helpers.wild import cli, npy, npz
+
+from mapdata import Movement, read_shard
+from mapdata.formats import FormatError, Limits, read_any, read_problems, recognise
+from mapdata.shards import read_manifest
+
+SPLITS = {"train": 3, "val": 1, "test": 2}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return a small set."""
+    random = np.random.default_rng(6)
+    folder = tmp_path / "tiles"
+    folder.mkdir()
+    for split, count in SPLITS.items():
+        costs = draw_costs(random, count, 6, 7)
+        np.savez(folder / f"{split}.npz", **tile_arrays(random, costs))  # type: ignore[arg-type]
+    return folder
+
+
+def test_terrain_problems_and_least_costs_are_those_of_the_files(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every pair of target and source is a pair of seed points, with the cost of a Dijkstra of the
+    test.
+    """
+    assert recognise(folder) == "tilebased"
+    code, out, _ = cli(capsys, "import", folder, tmp_path / "data")
+    assert code == 0
+    assert "pictures and expanded cells are left out" in out
+    assert "labels compared with the source: 6 maps\n" in out
+    assert "disagree" not in out
+    manifest = read_manifest(tmp_path / "data")
+    assert manifest.movement == Movement(8, corner_cutting=True, diagonal_cost=1.0)
+    labels = read_shard(tmp_path / "data" / manifest.shards[0].name)
+    maps = labels.maps
+    assert maps.terrain is not None
+    assert maps.split.tolist() == [0, 0, 0, 1, 2, 2]
+    k = 0
+    for split in SPLITS:
+        with np.load(folder / f"{split}.npz") as file:
+            arrays = dict(file)
+        for number, weights in enumerate(arrays["costs"]):
+            costs = np.rint(weights * 10).astype(np.int64)
+            np.testing.assert_array_equal(maps.terrain[k], costs)
+            points = maps.seed_points[k, : maps.rooms[k]].tolist()
+            assert points[0] == arrays["targets"][number, 0].tolist()
+            matrix = labels.matrix("astar", k)
+            for target, source in np.ndindex(2, 3):
+                goal = arrays["targets"][number, target].tolist()
+                start = arrays["sources"][number, target, source].tolist()
+                vertex_sum, _ = shortest_path(costs, tuple(start), tuple(goal))
+                ends = int(costs[tuple(start)]) + int(costs[tuple(goal)])
+                cost = matrix[points.index(start), points.index(goal)]
+                assert cost == vertex_sum - ends / 2
+            k += 1
+
+
+def test_a_longer_path_is_counted(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A map disagrees if any of its paths is no shortest one."""
+    with np.load(folder / "train.npz") as file:
+        arrays = dict(file)
+    arrays["paths"][1, 0, 2] = 1
+    np.savez(folder / "train.npz", **arrays)
+    _, out, _ = cli(capsys, "import", folder / "train.npz", tmp_path / "data")
+    assert "labels compared with the source: 3 maps\n  path: 1 disagree" in out
+    assert "splits:               train 3, val 0, test 0" in out
+
+
+FAULTS = {
+    "costs": (np.zeros((3, 6)), "'costs': has shape (3, 6), expected (N, H, W)"),
+    "targets": (np.zeros((3, 1, 2)), "'targets': has shape (3, 1, 2), expected (3, 2, 2)"),
+    "sources": (np.zeros((3, 2, 2)), "'sources': has shape (3, 2, 2), expected (3, T, S, 2)"),
+    "paths": (np.zeros((3, 2, 3, 6, 6)), "'paths': has shape (3, 2, 3, 6, 6), expected (3, 2, 3"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_an_array_of_another_shape_is_refused(
+    name: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a folder the file is left out in one line; by itself it is refused."""
+    array, message = FAULTS[name]
+    with np.load(folder / "train.npz") as file:
+        np.savez(folder / "train.npz", **{**file, name: array})
+    code, out, err = cli(capsys, "import", folder, tmp_path / "data")
+    assert code == 0
+    assert "splits:               train 0, val 1, test 2" in out
+    assert [message in line for line in err.splitlines() if line.startswith("left")] == [True]
+    with pytest.raises(FormatError, match=re.escape(message)):
+        read_any(folder / "train.npz")
+
+
+@pytest.mark.parametrize(
+    ("name", "index", "number", "message"),
+    [
+        ("costs", (1, 2, 3), 0.0, "map 1: cell (2, 3) has weight 0, expected a whole multiple"),
+        ("costs", (1, 2, 3), np.nan, "map 1: cell (2, 3) has weight nan"),
+        ("costs", (1, 2, 3), 0.84, "map 1: cell (2, 3) has weight 0.84"),
+        ("costs", (1, 2, 3), -1.0, "map 1: cell (2, 3) has weight -1"),
+        ("targets", (2, 1, 0), 6, "map 2: target 1 is (6.0, "),
+        ("sources", (2, 1, 0, 1), -1, "map 2: target 1, source 0 is ("),
+        ("sources", (2, 1, 0, 1), 1.5, "map 2: target 1, source 0 is ("),
+        ("sources", (2, 1, 0, 1), np.nan, "map 2: target 1, source 0 is ("),
+        ("paths", (2, 1, 0, 1, 1), 0.5, "map 2: target 1, source 0: path: holds 0.0 to 1.0"),
+        ("paths", (2, 1, 0, 1, 1), np.nan, "map 2: target 1, source 0: path: holds nan to nan"),
+    ],
+)
+def test_a_bad_number_is_refused(
+    name: str, index: tuple[int, ...], number: float, message: str, folder: Path
+) -> None:
+    """The message names the map, and no map of the file is read."""
+    with np.load(folder / "train.npz") as file:
+        arrays = dict(file)
+    arrays[name] = arrays[name].astype(np.float64)
+    arrays[name][index] = number
+    np.savez(folder / "train.npz", **arrays)
+    with pytest.raises(FormatError, match=re.escape(message)) as refusal:
+        read_any(folder / "train.npz")
+    assert "\n" not in str(refusal.value)
+    assert len(read_any(folder).maps) == 3
+
+
+def test_a_missing_array_and_headers_that_lie_are_refused(folder: Path, tmp_path: Path) -> None:
+    """A file without paths is another one's; headers are checked before anything is unpacked."""
+    with np.load(folder / "train.npz") as file:
+        arrays = dict(file)
+    del arrays["paths"]
+    np.savez(tmp_path / "other.npz", **arrays)
+    with pytest.raises(FormatError, match="holds no array 'paths'"):
+        read_any(tmp_path / "other.npz", "tilebased")
+    assert recognise(tmp_path / "other.npz") != "tilebased"
+    small = {
+        name: npy(array.shape, array.tobytes(), array.dtype.str) for name, array in arrays.items()
+    }
+    npz(tmp_path / "huge.npz", **small, paths=npy((3, 2, 3, 6, 2**40), b"", "<f4"))
+    with pytest.raises(FormatError, match=r"'paths': has 128 bytes, expected 128 for its header"):
+        read_any(tmp_path / "huge.npz", "tilebased")
+    with pytest.raises(FormatError, match=r"unpack to [0-9]+ bytes, expected at most 100"):
+        read_any(folder / "train.npz", limits=Limits(unpacked=100))
+
+
+def test_problems_to_compare_planners_on_are_those_of_a_split(folder: Path) -> None:
+    """From each source to its target, but not from a cell to itself."""
+    with np.load(folder / "test.npz") as file:
+        arrays = dict(file)
+    arrays["sources"][0, 1, 2] = arrays["targets"][0, 1]
+    np.savez(folder / "test.npz", **arrays)
+    problems = read_problems(folder)
+    expected = []
+    for number, target, source in np.ndindex(2, 2, 3):
+        start = tuple(arrays["sources"][number, target, source].tolist())
+        goal = tuple(arrays["targets"][number, target].tolist())
+        costs = np.rint(arrays["costs"][number] * 10).astype(np.int64)
+        if start != goal:
+            vertex_sum, _ = shortest_path(costs, start, goal)
+            cost = vertex_sum - int(costs[start] + costs[goal]) / 2
+            expected.append((start, goal, cost))
+    found = zip(problems.starts, problems.goals, problems.optimal.cost, strict=True)
+    assert [(tuple(start), tuple(goal), cost) for start, goal, cost in found] == expected
+    assert len(read_problems(folder, split="train", count=5)) == 5
+    assert len(read_problems(folder / "val.npz")) <= 6

@@ -1,0 +1,241 @@
+"""The model that reads costs from images: its loss, its search, and that paths alone teach it."""
+
+from __future__ import annotations
+
+from dataclasses import astuple
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import DataLoader
+
+from mapdata import Movement, OnlineMapDataset, Sample, Terrain, Tiles, check_path, search_batch
+from mapdata.arrays import Bytes
+from mapdata.models import CostPredictor
+from mapdata.models.cost_predictor import (
+    TRAINING_FIELDS,
+    as_terrain,
+    centred,
+    path_weights,
+    random_parts,
+)
+
+TILES = Movement(8, corner_cutting=True, diagonal_cost=1)
+
+MOVEMENTS = [Movement(4), Movement(8), Movement(8, corner_cutting=True), TILES]
+
+
+def problems(count: int, seed: int, *, movement: Movement = TILES) -> OnlineMapDataset:
+    """Return problems from corner to corner of maps whose costs differ in their textures alone."""
+    family = Terrain(
+        (12, 12), costs=(8, 12, 53, 77, 92), obstacles=0.0, corners=True, movement=movement
+    )
+    fields = (*TRAINING_FIELDS, Tiles(alike=True))
+    return OnlineMapDataset(family, seed=seed, length=count, fields=fields)
+
+
+def batch(count: int, seed: int = 0, *, movement: Movement = TILES) -> Sample:
+    """Return `problems` as one batch."""
+    samples: Sample = next(iter(DataLoader(problems(count, seed, movement=movement), count)))
+    return samples
+
+
+class TrueCosts(CostPredictor):
+    """A model that has learned everything: it is handed the true terrain, times a factor."""
+
+    def __init__(self, terrain: torch.Tensor, movement: Movement) -> None:
+        """Keep the terrain, (B, 1, H, W)."""
+        super().__init__(*astuple(movement))
+        self.costs = torch.nn.Parameter(terrain[:, 0].float())
+
+    def forward(self, image: torch.Tensor, occupied: torch.Tensor) -> torch.Tensor:
+        """Return the costs that were given."""
+        return self.costs
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS, ids=str)
+def test_weights_times_costs_are_the_costs_of_paths(movement: Movement) -> None:
+    """The sum over the cells is what `check_path` says, for two paths on each map."""
+    generator = np.random.default_rng(3)
+    terrain = generator.integers(1, 256, (6, 9, 7)).astype(np.uint8)
+    terrain[generator.random(terrain.shape) < 0.15] = 0
+    terrain[:, 0, 0] = terrain[:, -1, -1] = 4
+    grids = (terrain == 0).astype(np.uint8)
+    maps = np.repeat(np.arange(6), 2)
+    starts = np.tile([[0, 0], [8, 6]], (6, 1))
+    goals = np.tile([[8, 6], [0, 0]], (6, 1))
+    found = search_batch("astar", grids[maps], starts, goals, movement)
+    weights = path_weights(found.cells, found.offsets, grids, movement, maps)
+    solved = 0
+    for k in range(6):
+        expected = 0.0
+        for path in np.split(found.cells, found.offsets[1:-1])[2 * k : 2 * k + 2]:
+            if len(path):
+                expected += check_path(grids[k], path, movement, terrain=terrain[k])
+                solved += 1
+        assert (weights[k].astype(np.float64) * terrain[k]).sum() == pytest.approx(expected)
+    assert solved > 4
+
+
+def test_parts_are_runs_of_their_path() -> None:
+    """The whole path comes first, then ``count`` parts of at least three cells; none of short
+    paths, and nothing where there is no path.
+    """
+    paths = np.full((4, 16, 2), -1)
+    for k, length in enumerate((9, 3, 1, 0)):
+        paths[k, :length] = np.stack((np.arange(length), 2 * np.arange(length)), axis=1) + k
+    numbers, parts = random_parts(paths, count=50)
+    assert numbers.tolist() == [0] * 51 + [1]
+    assert len(parts[0]) == 9
+    assert len(parts[51]) == 3
+    lengths = set()
+    for part in parts[:51]:
+        first = part[0, 0]
+        np.testing.assert_array_equal(part, paths[0, first : first + len(part)])
+        lengths.add(len(part))
+    assert min(lengths) == 3
+    assert len(lengths) > 3
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS, ids=str)
+def test_the_true_costs_have_no_loss(movement: Movement) -> None:
+    """The loss is zero for the true costs, up to rounding, and positive for equal costs."""
+    samples = batch(20, movement=movement)
+    # The largest cost is 255, so that the search sees the same numbers.
+    scaled = (samples.terrain.float() * 255 / 92).round()
+    right = TrueCosts(scaled, movement).path_loss(samples)
+    wrong = TrueCosts(torch.ones_like(scaled), movement).path_loss(samples)
+    assert abs(right.item()) < 3
+    assert wrong.item() > -1e-4
+    equal = TrueCosts(torch.full_like(scaled, 90.0), movement).path_loss(samples)
+    assert equal.item() > 30
+
+
+def test_the_gradient_lowers_given_paths_and_raises_found_ones() -> None:
+    """A cell of the given path alone has a positive gradient, and one of the other path alone a
+    negative one, so that a step against the gradient makes the given path cheaper.
+    """
+    samples = batch(20)
+    model = TrueCosts(torch.ones_like(samples.terrain, dtype=torch.float), TILES)
+    model.hparams["parts"] = 0
+    model.path_loss(samples).backward()
+    assert model.costs.grad is not None
+    found = search_batch(
+        "astar",
+        samples.map[:, 0].numpy(),
+        samples.start.numpy(),
+        samples.goal.numpy(),
+        TILES,
+        terrain=np.full((20, 12, 12), 255, np.uint8),
+    )
+    differing = 0
+    for k, found_path in enumerate(np.split(found.cells, found.offsets[1:-1])):
+        given = {tuple(cell) for cell in samples.path[k].tolist() if cell[0] >= 0}
+        other = {tuple(cell) for cell in found_path.tolist()}
+        gradient = model.costs.grad[k]
+        assert all(gradient[cell] > 0 for cell in given - other)
+        assert all(gradient[cell] < 0 for cell in other - given)
+        untouched = torch.ones(12, 12, dtype=torch.bool)
+        for cell in given | other:
+            untouched[cell] = False
+        assert (gradient[untouched] == 0).all()
+        differing += len(given - other)
+    assert differing > 50
+
+
+def test_costs_have_one_scale_on_every_map() -> None:
+    """The geometric mean over free cells is about 1, and occupied cells do not count."""
+    torch.manual_seed(0)
+    model = CostPredictor()
+    image = torch.randint(0, 256, (3, 3, 40, 64), dtype=torch.uint8)
+    occupied = (torch.rand(3, 1, 5, 8) < 0.3).byte()
+    costs = model(image, occupied) - 0.01
+    for k in range(3):
+        free = occupied[k, 0] == 0
+        assert float(costs[k][free].log().mean()) == pytest.approx(0, abs=1e-3)
+    assert float(centred(torch.full((3, 5, 8), 7.0), occupied).abs().max()) < 1e-5
+
+
+def test_terrain_of_costs_spans_its_range() -> None:
+    """The largest cost is 255, no free cell is 0, and occupied cells are."""
+    costs = np.array([[[0.001, 1.0, 2.0], [9.0, 4.0, 0.5]]], np.float32)
+    grids = np.array([[[0, 0, 0], [1, 0, 0]]], np.uint8)
+    assert as_terrain(costs, grids).tolist() == [[[1, 64, 128], [0, 255, 32]]]
+
+
+def test_images_of_another_size_are_refused() -> None:
+    """The message names both shapes."""
+    model = CostPredictor()
+    with pytest.raises(
+        ValueError, match=r"images: got shape \(1, 3, 16, 24\), expected \(1, 3, 24"
+    ):
+        model.predict(np.zeros((1, 3, 16, 24), np.uint8), np.zeros((1, 3, 2), np.uint8))
+
+
+def planned_regret(model: CostPredictor, samples: Sample) -> float:
+    """Return the mean regret of searching on the predicted terrain, by `check_path`."""
+    grids: Bytes = samples.map[:, 0].numpy()
+    ends = samples.start.numpy(), samples.goal.numpy()
+    terrain = model.predict(samples.image.numpy(), grids)
+    truth = samples.terrain[:, 0].numpy()
+    found = search_batch("astar", grids, *ends, TILES, terrain=terrain)
+    optimal = search_batch("astar", grids, *ends, TILES, terrain=truth)
+    paths = np.split(found.cells, found.offsets[1:-1])
+    costs = [
+        check_path(grid, path, TILES, terrain=costs)
+        for grid, path, costs in zip(grids, paths, truth, strict=True)
+    ]
+    return float(np.mean(costs / optimal.cost - 1))
+
+
+def fit(model: CostPredictor, steps: int) -> CostPredictor:
+    """Train on 16 maps a step."""
+    torch.manual_seed(1)
+    optimizer = torch.optim.Adam(model.parameters(), 0.01)
+    loader = DataLoader(problems(16 * steps, 5), batch_size=16)
+    for samples in loader:
+        loss = model.losses(samples)["loss"]
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    return model
+
+
+@pytest.mark.parametrize(("loss", "highest"), [("paths", 0.10), ("terrain", 0.10)])
+def test_the_model_learns_costs(loss: str, highest: float) -> None:
+    """After a short training the regret on new maps is far below that of equal costs, 46 %."""
+    torch.manual_seed(0)
+    samples = batch(100, seed=9)
+    model = CostPredictor(loss=loss)  # type: ignore[arg-type]
+    assert planned_regret(model, samples) > 0.25
+    assert planned_regret(fit(model, 150), samples) < highest
+
+
+def test_the_loss_of_neural_astar_has_a_gradient() -> None:
+    """Cells that are expanded beside the path push their costs up."""
+    torch.manual_seed(0)
+    model = CostPredictor(loss="expansions")
+    loss = model.losses(batch(4))["loss"]
+    assert 0 < loss.item() < 1
+    loss.backward()
+    assert all(float(p.grad.abs().sum()) > 0 for p in model.parameters() if p.grad is not None)
+
+
+def test_an_unknown_loss_is_refused() -> None:
+    """The message lists the losses."""
+    with pytest.raises(ValueError, match=r"loss: got 'path'.*paths, terrain, expansions"):
+        CostPredictor(loss="path")  # type: ignore[arg-type]
+
+
+def test_weights_survive_a_file(tmp_path: Path) -> None:
+    """A model that was saved predicts nearly the same terrain: its weights have 16 bits."""
+    torch.manual_seed(0)
+    model = CostPredictor(width=8, parts=2)
+    model.save(tmp_path / "costs.pt")
+    copy = CostPredictor.load(tmp_path / "costs.pt")
+    samples = batch(3)
+    arguments = samples.image.numpy(), samples.map[:, 0].numpy()
+    difference = copy.predict(*arguments).astype(int) - model.predict(*arguments)
+    assert copy.hparams["width"] == 8
+    assert np.abs(difference).max() <= 2

@@ -1,0 +1,632 @@
+"""Shards of format version 3: maps whose cells have costs, and labels in half units."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+import tempfile
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+
+import h5py
+import numpy as np
+import pytest
+from helpers import hostile, reference
+from helpers.builds import InTheCaller, publish, restated
+from helpers.families import PILLARS, forget
+from helpers.specs import MOVEMENTS, SIDES, movements
+from helpers.terrain_maps import imported_header, labelled_terrain, random_terrain_maps
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mapdata import (
+    Cave,
+    MapDataset,
+    MapGenerator,
+    MapSpec,
+    Maze,
+    Movement,
+    ShardError,
+    Terrain,
+    build,
+    generate,
+    identity,
+    label,
+    read_shard,
+    repair,
+    verify,
+)
+from mapdata.describe import card
+from mapdata.generators import UnknownFamily
+from mapdata.search.labels import Labels
+from mapdata.shards import MANIFEST, Manifest, Root, content_hash, open_shard, read_manifest
+from mapdata.shards.arrays import DATASETS, TERRAIN_DATASETS, decode, encode
+from mapdata.shards.header import Header
+from mapdata.shards.image import shard_image
+
+GENERATOR = Terrain((20, 70), seed_points=4, obstacles=0.2, movement=Movement(8))
+"""Drawn maps of terrain."""
+
+PLAIN = MapSpec((20, 70), (2, 5), (2, 8), (3, 12), passage_width=(1, 2), movement=Movement(8))
+"""Maps of the same size and movement without terrain."""
+
+SEED = 7
+MAPS = 7
+SHARD_SIZE = 4
+
+
+def written(path: Path, labels: Labels, header: Header | None = None) -> Path:
+    """Write a shard of imported maps; return its path."""
+    image, _ = shard_image(labels, header or imported_header(labels.maps))
+    path.write_bytes(image)
+    return path
+
+
+def assert_same_labels(actual: Labels, expected: Labels) -> None:
+    """Compare the arrays of maps and labels."""
+    for name in ("index", "packed", "terrain", "rooms", "split"):
+        np.testing.assert_array_equal(
+            getattr(actual.maps, name), getattr(expected.maps, name), name, strict=True
+        )
+    for search in ("bfs", "astar"):
+        for name in ("moves", "offsets", "iterations", "costs"):
+            np.testing.assert_array_equal(
+                getattr(actual.by_search(search), name),
+                getattr(expected.by_search(search), name),
+                f"{search} {name}",
+                strict=True,
+            )
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Seven maps in two shards; tests leave them as they were."""
+    root = tmp_path_factory.mktemp("terrain") / "maps"
+    build(root, GENERATOR, maps=MAPS, seed=SEED, shard_size=SHARD_SIZE, workers=1)
+    return root
+
+
+@pytest.fixture
+def copied(finished: Path, tmp_path: Path) -> Path:
+    """Give a copy of the dataset to damage."""
+    shutil.copytree(finished, tmp_path / "maps")
+    return tmp_path / "maps"
+
+
+def first_shard(root: Path) -> Path:
+    """Return the file of the maps 0 to 3."""
+    return root / "maps-000000000000-000000000004.h5"
+
+
+# --- round trips --------------------------------------------------------------------------------
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 2**32), SIDES, SIDES, st.integers(1, 4), st.sampled_from(MOVEMENTS))
+def test_round_trip(seed: int, rows: int, columns: int, count: int, movement: Movement) -> None:
+    """Maps, terrain and labels are read as they were written; some pairs have no path."""
+    labels = labelled_terrain(seed, (rows, columns), count, movement)
+    header = imported_header(labels.maps)
+    image, content = shard_image(labels, header)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "shard.h5"
+        path.write_bytes(image)
+        shard = open_shard(path)
+        assert (shard.header, shard.content_hash) == (header, content)
+        assert_same_labels(decode(shard), labels)
+        assert_same_labels(read_shard(path), labels)
+        assert content_hash(decode(shard)) == content == content_hash(labels)
+
+
+@movements
+def test_stored_matrices_are_those_of_the_reference(movement: Movement, tmp_path: Path) -> None:
+    """A shard holds twice the cost of the cheapest path, as Dijkstra in plain Python finds it."""
+    maps = random_terrain_maps(3, (7, 9), 3, movement)
+    written(tmp_path / "shard.h5", label(maps))
+    with h5py.File(tmp_path / "shard.h5") as file:
+        straight = file["astar_straight"][()]
+        diagonal = file["astar_diagonal"][()] if movement.connectivity == 8 else 0 * straight
+        offsets = file["pair_offsets"][()]
+    half_units = straight + diagonal * movement.diagonal_cost
+    for k in range(3):
+        grid = maps.occupancy[k].tolist()
+        terrain = maps.terrain[k].tolist()  # type: ignore[index]
+        seed_points = [tuple(cell) for cell in maps.seed_points[k, : maps.rooms[k]].tolist()]
+        expected = []
+        for i in range(len(seed_points)):
+            for j in range(i + 1, len(seed_points)):
+                costs = reference.reference_distances(grid, seed_points[j], movement, terrain)
+                cost = costs.get(seed_points[i])
+                doubled = -1.0 if cost is None else 2 * reference.as_float(cost, movement, terrain)
+                expected.append(doubled)
+        assert half_units[offsets[k] : offsets[k + 1]].tolist() == expected
+    if movement.diagonal_cost == 1:
+        assert not diagonal.any()
+
+
+def test_terrain_of_ones_is_of_version_3(tmp_path: Path) -> None:
+    """The version follows from the header; the labels are those without terrain, but doubled."""
+    plain = label(generate(PLAIN, 0, range(3)))
+    ones = (1 - plain.maps.occupancy).astype(np.uint8)
+    labels = label(replace(plain.maps, terrain=ones))
+    path = written(tmp_path / "shard.h5", labels)
+    shard = open_shard(path)
+    assert shard.header.format_version == 3
+    assert shard.header.has_terrain
+    np.testing.assert_array_equal(
+        shard.arrays["astar_straight"],
+        np.where(plain.astar.costs[:, 0] < 0, -1, 2 * plain.astar.costs[:, 0]),
+    )
+    for i in range(3):
+        np.testing.assert_array_equal(labels.matrix("astar", i), plain.matrix("astar", i))
+    assert content_hash(labels) != content_hash(plain)
+
+
+def test_a_header_must_say_whether_maps_have_terrain() -> None:
+    """In either direction, a header that does not fit the maps is refused before it is written."""
+    labels = labelled_terrain(0, (5, 6), 2, Movement())
+    header = imported_header(labels.maps)
+    with pytest.raises(ValueError, match="has_terrain: got False for maps with terrain"):
+        shard_image(labels, replace(header, has_terrain=False))
+    plain = label(replace(labels.maps, terrain=None))
+    with pytest.raises(ValueError, match="has_terrain: got True for maps without terrain"):
+        shard_image(plain, header)
+
+
+def test_has_terrain_of_drawn_maps_is_that_of_the_generator() -> None:
+    """An argument that contradicts the generator has no effect; imported maps take the argument."""
+    for generator in (GENERATOR, MapSpec()):
+        for has_terrain in (False, True):
+            manifest = Manifest(
+                generator,
+                0,
+                generator.map_size,
+                generator.movement,
+                generator.resolution,
+                5,
+                5,
+                has_terrain=has_terrain,
+            )
+            assert (
+                manifest.has_terrain == generator.has_terrain == manifest.header(0, 5).has_terrain
+            )
+            assert manifest.format_version == generator.format_version
+    for has_terrain, version in ((False, 1), (True, 3)):
+        imported = Manifest(None, None, (9, 9), Movement(), 0.1, 5, 5, has_terrain=has_terrain)
+        assert imported.format_version == imported.header(0, 5).format_version == version
+    assert imported.header(0, 5) != replace(imported.header(0, 5), has_terrain=False)
+
+
+def test_descriptions_say_half_units(finished: Path) -> None:
+    """The attributes for people tell the costs of terrain from numbers of moves."""
+    assert [stored.name for stored in TERRAIN_DATASETS if stored not in DATASETS] == [
+        "terrain",
+        "astar_straight",
+        "astar_diagonal",
+    ]
+    with h5py.File(first_shard(finished)) as file:
+        assert sorted(file) == sorted(stored.name for stored in TERRAIN_DATASETS)
+        for stored in TERRAIN_DATASETS:
+            attributes = {name: file[stored.name].attrs[name] for name in file[stored.name].attrs}
+            stated = (attributes["description"], attributes["units"], attributes["encoding"])
+            assert [text.decode() if isinstance(text, bytes) else text for text in stated] == [
+                stored.description,
+                stored.units,
+                stored.encoding,
+            ]
+        assert "half units" in stored.units
+        assert file["terrain"].dtype == np.uint8
+        assert file["terrain"].id.get_offset() % 64 == 0
+
+
+def test_costs_that_do_not_fit_int32_are_refused() -> None:
+    """The message names the map and the cost; the largest cost that fits is stored."""
+    maps = random_terrain_maps(1, (6, 6), 5, Movement(8, diagonal_cost=1), start=40)
+    labels = label(maps)
+    map_numbers = np.repeat(maps.index, maps.rooms * (maps.rooms - 1) // 2)
+    pair = len(map_numbers) * 3 // 4
+    assert 40 < map_numbers[pair] < 44
+    costs = labels.astar.costs.copy()
+    costs[pair, 0] = 2**31 - 1
+    high = replace(labels, astar=replace(labels.astar, costs=costs))
+    assert encode(high)["astar_straight"].max() == 2**31 - 1
+    costs[pair, 0] = 2**31
+    with pytest.raises(
+        ValueError, match=f"map {map_numbers[pair]}: terrain: a path costs 1,073,741,824, and"
+    ):
+        shard_image(high, imported_header(maps))
+
+
+# --- datasets -----------------------------------------------------------------------------------
+
+
+def test_a_built_dataset_holds_the_drawn_terrain(finished: Path) -> None:
+    """Shards, manifest and identity are of version 3, and verify finds nothing."""
+    manifest = read_manifest(finished)
+    assert (manifest.format_version, manifest.has_terrain) == (3, True)
+    assert manifest.identity == identity(GENERATOR, SEED)
+    labels = label(generate(GENERATOR, SEED, range(MAPS)))
+    assert manifest.content_hash == content_hash(labels)
+    shards = list(Root.open(finished).labels())
+    terrain = np.concatenate([shard.maps.terrain for shard in shards])
+    np.testing.assert_array_equal(terrain, labels.maps.terrain)
+    assert verify(finished) == []
+
+
+def test_parts_growth_and_executors_give_the_same_dataset(finished: Path, tmp_path: Path) -> None:
+    """Two parts, a dataset that grows, an executor, and the recipe: the content is the same."""
+    content = read_manifest(finished).content_hash
+    for k in (1, 0):
+        parts = build(
+            tmp_path / "parts",
+            GENERATOR,
+            maps=MAPS,
+            seed=SEED,
+            shard_size=SHARD_SIZE,
+            workers=1,
+            part=(k, 2),
+        )
+    assert parts.content_hash == content
+    for maps in (5, MAPS):
+        grown = build(
+            tmp_path / "grown", GENERATOR, maps=maps, seed=SEED, shard_size=SHARD_SIZE, workers=1
+        )
+    assert grown.content_hash == content
+    assert verify(tmp_path / "grown") == []
+    submitted = build(
+        tmp_path / "executor",
+        read_manifest(finished).recipe(),
+        shard_size=SHARD_SIZE,
+        executor=InTheCaller(),
+    )
+    assert submitted.content_hash == content
+
+
+def test_a_dataset_at_a_url_is_read(finished: Path) -> None:
+    """Through fsspec, whose cache holds copies of the shards."""
+    url = f"file://{finished}"
+    assert verify(url) == []
+    (first, _) = Root.open(url).labels()
+    assert_same_labels(first, read_shard(first_shard(finished)))
+
+
+def test_roots_with_and_without_terrain_are_no_dataset(finished: Path, tmp_path: Path) -> None:
+    """Both are named, in either order."""
+    plain = tmp_path / "plain"
+    build(plain, Cave(GENERATOR.map_size, movement=GENERATOR.movement), maps=2, workers=1)
+    message = re.escape(
+        f"root: the maps of {finished} have terrain, those of {plain} have none; open them as "
+        "datasets of their own"
+    )
+    for roots in ([finished, plain], [plain, finished]):
+        with pytest.raises(ValueError, match=message):
+            Root.open(roots)
+
+
+GOLDEN: dict[str, tuple[MapGenerator, str, str]] = {
+    "terrain": (
+        Terrain((20, 31), seed_points=4, movement=Movement(8), splits=(0.5, 0.25, 0.25)),
+        "73fd110295b425c4377556562d8d34f2227a8b615ac48b99e3a8b14441dbc125",
+        "ae903a386fb05e0cf06cf042c71c3a2b28be7870bf54e6552d38018b086c2d51",
+    ),
+    "tiles": (
+        MapGenerator.preset("tiles"),
+        "0ede4016f19c05aa98df10d3f075f4d85fd824064578eef8558667ff8a918faa",
+        "6d0db4f6e8cc4f9433987d0518e076e2f19f8edbc310ab8e705b63d352f8e11d",
+    ),
+    "over a maze": (
+        Terrain(
+            costs=(1, 5, 200),
+            over=Maze((20, 31), corridor=2, reopened=0.1, seed_points=4, splits=(0.5, 0.25, 0.25)),
+        ),
+        "2d19e77c47874c9560543e4185545e8ad3d1dcfebb8a6bcb7865f17e8b8f0eaf",
+        "74184bc23b6ef8e16bd7dac9746152e9f274fb00e0280418ca684172aaab588a",
+    ),
+}
+"""Generator, identity and content hash of maps 0 .. 29 with seed 7. They must never change."""
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_identity_and_content_are_those_of_the_page(name: str) -> None:
+    """Golden hashes of version 3; tests/data has those of imported terrain."""
+    generator, stated_identity, stated_content = GOLDEN[name]
+    assert identity(generator, 7) == stated_identity
+    assert content_hash(label(generate(generator, 7, range(30)))) == stated_content
+    page = (Path(__file__).parents[2] / "docs" / "format.md").read_text(encoding="utf-8")
+    assert f"| `{stated_identity}` | `{stated_content}` |" in page
+
+
+# --- damage -------------------------------------------------------------------------------------
+
+
+def regions(path: Path) -> dict[str, range]:
+    """Return the bytes of each dataset of a shard, and those between them, by name."""
+    with h5py.File(path) as file:
+        extents = sorted(
+            (file[name].id.get_offset(), file[name].nbytes, name)
+            for name in file
+            if file[name].size
+        )
+    found = {name: range(offset, offset + size) for offset, size, name in extents}
+    end = 0
+    for offset, size, name in extents:
+        if offset > end:
+            found[f"before {name}"] = range(end, offset)
+        end = offset + size
+    if end < path.stat().st_size:
+        found["end"] = range(end, path.stat().st_size)
+    return found
+
+
+def test_a_flipped_bit_in_any_region_is_found(copied: Path) -> None:
+    """In the terrain, in every other dataset and in the metadata between them."""
+    path = first_shard(copied)
+    image = path.read_bytes()
+    random = Random(5)
+    assert "terrain" in regions(path)
+    for name, region in regions(path).items():
+        for _ in range(20 if name == "terrain" else 3):
+            damaged = bytearray(image)
+            damaged[random.choice(region)] ^= 1 << random.randrange(8)
+            path.write_bytes(damaged)
+            assert [fault.partition(": ")[0] for fault in verify(copied)] == [str(path)], name
+    path.write_bytes(image)
+    assert verify(copied) == []
+
+
+def test_changed_terrain_is_found_where_the_file_hash_fits(copied: Path) -> None:
+    """A manifest that states the hash of the changed file hides nothing from the content hash."""
+    path = first_shard(copied)
+    with h5py.File(path) as file:
+        offset = file["terrain"].id.get_offset()
+        size = file["terrain"].nbytes
+    image = path.read_bytes()
+    for place in (0, size // 2, size - 1):
+        damaged = bytearray(image)
+        damaged[offset + place] ^= 64
+        publish(copied, path.name, bytes(damaged))
+        with pytest.raises(ShardError, match=r"seed point|content hash"):
+            read_shard(path)
+        (fault,) = verify(copied)
+        assert fault.startswith(str(path))
+        assert re.search("seed point|content hash", fault)
+
+
+def disagreeing(labels: Labels, k: int) -> Labels:
+    """Return labels whose map ``k`` has a cost on an occupied cell; its labels do not change."""
+    terrain = labels.maps.terrain
+    assert terrain is not None
+    terrain = terrain.copy()
+    row, column = np.argwhere(terrain[k] == 0)[0]
+    terrain[k, row, column] = 9
+    return replace(labels, maps=replace(labels.maps, terrain=terrain))
+
+
+def test_terrain_that_disagrees_with_the_maps_is_found(copied: Path) -> None:
+    """Although all hashes fit: the message names the map."""
+    path = first_shard(copied)
+    labels = disagreeing(read_shard(path), 2)
+    header = open_shard(path).header
+    image, content = shard_image(labels, header)
+    publish(copied, path.name, image)
+    manifest = read_manifest(copied)
+    entries = (replace(manifest.shards[0], content_hash=content), *manifest.shards[1:])
+    (copied / MANIFEST).write_text(replace(manifest, shards=entries).to_json(), encoding="utf-8")
+    message = (
+        f"{path}: map 2 is not occupied exactly where its terrain is 0 (datasets 'maps' and "
+        "'terrain')"
+    )
+    assert verify(copied) == [message]
+    with pytest.raises(ShardError, match=re.escape(message)):
+        read_shard(path)
+    # A map that is occupied where its terrain has a cost is found, and so is the reverse.
+    free = read_shard(path.with_name("maps-000000000004-000000000007.h5"))
+    assert free.maps.terrain is not None
+    terrain = free.maps.terrain.copy()
+    is_seed = np.zeros(terrain.shape[1:], np.bool_)
+    is_seed[tuple(free.maps.seed_points[0].T)] = True
+    terrain[0][tuple(np.argwhere((terrain[0] > 0) & ~is_seed)[0])] = 0
+    lone = free.maps.index[0]
+    opened = replace(free, maps=replace(free.maps, terrain=terrain))
+    other = written(copied / "lone.h5", opened, replace(header, start=4, stop=7))
+    with pytest.raises(ShardError, match=f"map {lone} is not occupied exactly"):
+        read_shard(other)
+
+
+def test_repair_makes_damaged_shards_again(copied: Path) -> None:
+    """A damaged shard, a lost one and a lost manifest; afterwards all is as it was built."""
+    before = {path.name: path.read_bytes() for path in copied.glob("maps-*")}
+    manifest = (copied / MANIFEST).read_bytes()
+    damaged = bytearray(before[first_shard(copied).name])
+    damaged[len(damaged) // 2] ^= 1
+    first_shard(copied).write_bytes(damaged)
+    assert len(verify(copied)) == 1
+    assert repair(copied) == []
+    first_shard(copied).unlink()
+    assert repair(copied) == []
+    (copied / MANIFEST).unlink()
+    repair(copied)
+    assert {path.name: path.read_bytes() for path in copied.glob("maps-*")} == before
+    assert verify(copied) == []
+    stored = read_manifest(copied)
+    assert stored.has_terrain
+    assert stored.content_hash in manifest.decode()
+
+
+def test_the_manifest_of_imported_maps_is_made_again(tmp_path: Path) -> None:
+    """From the shards alone, whose version says that the maps have terrain."""
+    labels = labelled_terrain(4, (9, 9), 3, Movement(8))
+    header = imported_header(labels.maps)
+    root = tmp_path / "maps"
+    root.mkdir()
+    written(root / header.file_name, labels)
+    repair(root)
+    manifest = read_manifest(root)
+    assert (manifest.format_version, manifest.has_terrain, manifest.generator) == (3, True, None)
+    assert manifest.content_hash == content_hash(labels)
+
+
+# --- files that lie -----------------------------------------------------------------------------
+
+
+def test_versions_that_do_not_fit_the_datasets_are_refused(tmp_path: Path) -> None:
+    """Terrain in a shard of version 1 or 2, and a shard of version 3 without it."""
+    generator = Terrain((20, 70), movement=Movement(8))
+    terrain = label(generate(generator, 0, range(3)))
+    plain = label(generate(PLAIN, 0, range(3)))
+    imported = imported_header(terrain.maps)
+    of_spec = replace(imported, generator=PLAIN, seed=0, resolution=PLAIN.resolution)
+    of_terrain = replace(of_spec, generator=generator)
+    cases = [
+        (terrain, imported, 1, False, "format version 1, but it has a dataset 'terrain' of ver"),
+        (terrain, imported, 2, False, "format version 2, but it has a dataset 'terrain' of ver"),
+        (terrain, of_terrain, 2, False, "format version 2, but it has a dataset 'terrain' of v"),
+        (terrain, imported, 3, True, "dataset 'terrain' is missing"),
+        (terrain, of_terrain, 2, True, "format version 2, but its spec is of version 3"),
+        (plain, replace(imported, has_terrain=False), 3, True, "dataset 'terrain' is missing"),
+        (plain, of_spec, 3, True, "dataset 'terrain' is missing"),
+    ]
+    path = tmp_path / "shard.h5"
+    for labels, header, version, without_terrain, message in cases:
+        contents = hostile.read_contents(written(path, labels, header))
+        hostile.write(tmp_path / "sound.h5", contents, path)
+        open_shard(tmp_path / "sound.h5")
+        if without_terrain:
+            contents.arrays.pop("terrain", None)
+        hostile.write(tmp_path / "lie.h5", contents, path, attributes={"format_version": version})
+        with pytest.raises(ShardError, match=re.escape(message)):
+            open_shard(tmp_path / "lie.h5")
+    # Terrain that a version 1 spec cannot have, in a file that claims version 3.
+    contents = hostile.read_contents(written(path, plain, of_spec))
+    contents.arrays["terrain"] = (1 - plain.maps.occupancy).astype(np.uint8)
+    hostile.write(tmp_path / "lie.h5", contents, path, attributes={"format_version": 3})
+    with pytest.raises(ShardError, match="format version 3, but its spec is of version 1"):
+        open_shard(tmp_path / "lie.h5")
+
+
+def test_a_manifest_of_another_version_is_refused(copied: Path) -> None:
+    """A manifest that says version 2 of a family whose maps have terrain is damaged."""
+    text = (copied / MANIFEST).read_text(encoding="utf-8")
+    (copied / MANIFEST).write_text(
+        restated(text, lambda values: values.update(format_version=2)), encoding="utf-8"
+    )
+    with pytest.raises(ShardError, match=r"damaged \(its version, identity or content hash"):
+        read_manifest(copied)
+
+
+def test_terrain_faults_are_refused(tmp_path: Path) -> None:
+    """Each kind of fault of a dataset, in the dataset of the terrain."""
+    generator = Terrain((20, 70), movement=Movement(8))
+    labels = label(generate(generator, 0, range(3)))
+    sound = written(tmp_path / "sound.h5", labels)
+    contents = hostile.read_contents(sound)
+    for name in ("soft-link", "group", "chunked", "huge", "huge-gzip", "longer-maps", "flat"):
+        fault = hostile.DATASETS[name]
+        hostile.write(tmp_path / "lie.h5", contents, sound, {"terrain": fault.member})
+        with pytest.raises(ShardError, match=f"'terrain'.*(?:{fault.says})"):
+            open_shard(tmp_path / "lie.h5")
+    for member in hostile.ELSEWHERE.values():
+        hostile.write(tmp_path / "lie.h5", contents, sound, {"terrain": member})
+        with pytest.raises(ShardError, match="'terrain'"):
+            open_shard(tmp_path / "lie.h5")
+    terrain = contents.arrays["terrain"]
+    for array, message in (
+        (terrain.astype(np.int8), "not plain contiguous data of type u1"),
+        (terrain[:, :, 1:], "has shape"),
+        (np.zeros_like(terrain), "a seed point of map 0 is on an occupied cell"),
+    ):
+        hostile.write(
+            tmp_path / "lie.h5",
+            contents._replace(arrays={**contents.arrays, "terrain": array}),
+            sound,
+        )
+        with pytest.raises(ShardError, match=message):
+            open_shard(tmp_path / "lie.h5")
+
+
+# --- a family that is not known -----------------------------------------------------------------
+
+WEIGHTED = PILLARS.replace(
+    """        return maps
+""",
+    """        from dataclasses import replace
+        from mapdata.generators.maps import unpacked
+
+        costs = np.arange(self.map_size[1], dtype=np.uint8) % 7 + 1
+        return replace(maps, terrain=(1 - unpacked(maps.packed, maps.columns)) * costs)
+
+    @property
+    def has_terrain(self):
+        return True
+""",
+)
+"""The text of the module of a family whose maps have terrain."""
+
+
+@pytest.fixture
+def unknown(tmp_path: Path) -> Iterator[tuple[Path, MapGenerator]]:
+    """Build a dataset of a family, and make the family unknown; give both."""
+    (tmp_path / "pillars.py").write_text(WEIGHTED, encoding="utf-8")
+    sys.path.insert(0, str(tmp_path))
+    __import__("pillars")
+    sys.path.remove(str(tmp_path))
+    generator = MapGenerator.preset("columns")
+    build(tmp_path / "maps", generator, maps=6, seed=3, shard_size=4, workers=1)
+    forget("pillars", "columns")
+    yield tmp_path / "maps", generator
+    forget("pillars", "columns")
+
+
+def test_an_unknown_family_with_terrain_is_read(unknown: tuple[Path, MapGenerator]) -> None:
+    """The version of the format says that its maps have terrain, which its identity depends on."""
+    root, generator = unknown
+    manifest = read_manifest(root)
+    assert isinstance(manifest.generator, UnknownFamily)
+    assert manifest.generator.has_terrain
+    assert manifest.format_version == 3
+    assert manifest.identity == identity(generator, 3)
+    shards = list(Root.open(root).labels())
+    terrain = np.concatenate([shard.maps.terrain for shard in shards])
+    assert set(np.unique(terrain)) == set(range(8))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert verify(root) == []
+
+
+def test_terrain_over_an_unknown_family_is_read(tmp_path: Path) -> None:
+    """It is verified, its card names the module, and damage is reported as beyond repair."""
+    (tmp_path / "pillars.py").write_text(PILLARS, encoding="utf-8")
+    sys.path.insert(0, str(tmp_path))
+    __import__("pillars")
+    sys.path.remove(str(tmp_path))
+    generator = Terrain(over=MapGenerator.preset("columns"))
+    root = tmp_path / "maps"
+    build(root, generator, maps=6, seed=3, shard_size=4, workers=1)
+    assert "--import pillars" in card(root)
+    forget("pillars", "columns")
+    manifest = read_manifest(root)
+    assert (manifest.format_version, manifest.identity) == (3, identity(generator, 3))
+    assert manifest.max_seed_points == 4
+    assert MapDataset(root).info.recipes == (None,)
+    with pytest.warns(UserWarning, match="'pillars' is not known here"):
+        assert verify(root) == []
+    assert "with the module of the family pillars" in card(root)
+    path = first_shard(root)
+    path.write_bytes(path.read_bytes()[:-1])
+    (fault,) = repair(root)
+    assert "it cannot be made again: the family 'pillars' is not known here" in str(fault)
+
+
+def test_the_known_family_reads_what_the_unknown_one_was(
+    unknown: tuple[Path, MapGenerator],
+) -> None:
+    """Headers of both are equal, and those of the same family without terrain are not."""
+    root, generator = unknown
+    header = read_manifest(root).header(0, 4)
+    assert header == replace(header, generator=generator)
+    assert isinstance(header.generator, UnknownFamily)
+    assert header != replace(header, generator=replace(header.generator, has_terrain=False))
