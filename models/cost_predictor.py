@@ -66,6 +66,11 @@ which validation computes the regret.
 MIN_COST = 0.01
 """Smallest predicted cost, where the geometric mean of a map is about 1."""
 
+MAX_LOG_COST = 10.0
+"""Largest absolute logarithm of a predicted cost. Its exponential is a factor of 22,000, far more
+than terrain can hold, and far from numbers that overflow.
+"""
+
 MAX_TERRAIN = 255
 """The largest cost of a cell that mapdata searches on; the smallest is 1."""
 
@@ -146,7 +151,8 @@ class CostPredictor(Model):
             image: (B, 3, pixels * H, pixels * W), 0 to 255.
             occupied: (B, 1, H, W), 0 free and anything else occupied.
         """
-        return centred(self.log_costs(image), occupied).exp() + MIN_COST
+        log_costs = centred(self.log_costs(image), occupied).clamp(-MAX_LOG_COST, MAX_LOG_COST)
+        return log_costs.exp() + MIN_COST
 
     # --- training -------------------------------------------------------------------------------
 
