@@ -35,7 +35,7 @@ Single tables go by their names: labels, paths, terrain, making, build, loading,
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Print the tables asked for, one after another, and write them as a page if told so."""
+    """Print the tables asked for, one after another, and write them as a page with --write."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks",
         description="Measure ours beside the peers, on an idle machine.",

@@ -234,7 +234,7 @@ def table(quick: bool, parent: str | None = None) -> str:
     ]
     notes = (
         f"medians of {rounds} repeats, one thread",
-        "preset paper (64 x 64), 4-connected, unless a row says otherwise; the target of a growth is "
-        "linear",
+        "preset paper (64 x 64), 4-connected, unless a row says otherwise; the target of a growth "
+        "is linear",
     )
     return to_text("Labels on one core", rows, packages=PACKAGES, notes=notes)

@@ -384,7 +384,7 @@ def table(quick: bool, parent: str | None = None) -> str:
     notes = (
         f"medians of {rounds} repeats, one thread",
         "maps of Table 1, larger ones in proportion, between consecutive rooms, 4-connected",
-        "rows of kinds of maps: 4 problems between free cells, short ones at most 8 rows and columns "
-        "apart; diagonals cost 1 and cut corners, as in pyastar2d",
+        "rows of kinds of maps: 4 problems between free cells, short ones at most 8 rows and "
+        "columns apart; diagonals cost 1 and cut corners, as in pyastar2d",
     )
     return to_text("Paths", rows, packages=PACKAGES, notes=notes, peers=[*PEERS])

@@ -35,7 +35,7 @@ def test_every_promise_has_a_test() -> None:
 
 
 def test_the_lowest_versions_were_tried() -> None:
-    """The first row of the table of docs/versions.md has the versions that pyproject.toml allows."""
+    """The first row of docs/versions.md has the lowest versions that pyproject.toml allows."""
     allowed = (TESTS.parent / "pyproject.toml").read_text(encoding="utf-8")
     versions = (TESTS.parent / "docs" / "versions.md").read_text(encoding="utf-8")
     row = next(line for line in versions.splitlines() if line.startswith("| lowest |"))
