@@ -240,3 +240,9 @@ def test_weights_survive_a_file(tmp_path: Path) -> None:
     difference = copy.predict(*arguments).astype(int) - model.predict(*arguments)
     assert copy.hparams["width"] == 8
     assert np.abs(difference).max() <= 2
+
+
+def test_the_weights_that_ship_find_nearly_optimal_paths() -> None:
+    """On new maps, and the textures of the training; docs/costs.md has the figures."""
+    samples = batch(200, seed=77)
+    assert planned_regret(CostPredictor.pretrained(), samples) < 0.002
