@@ -21,20 +21,21 @@ TABLES = {
 }
 HEAD = """# Benchmarks
 
-Written by `python -m benchmarks{arguments}`. Everything in a table was measured in one run, the
-contestants taking turns on one machine: trust the ratios more than the times. A peer that gives
-other results than ours stops the run. A target is a least ratio or rate, or a limit of time, size
-or growth; those that are missed say so. Install the peers with `pip install -e ".[bench]"` (and
-`maze-dataset "muutils<0.9"` by hand); a missing one is skipped by name. Single tables go by their
-names: labels, paths, terrain, making, build, loading, planners. `--quick` takes a minute or two;
-without it there are more repeats, and the figures are steadier.
+Written by `python -m benchmarks{arguments}`. The contestants of a table take turns on one machine:
+trust the ratios more than the times.
 
 ![Time of a path by A* and of a sample beside other packages, in multiples](images/speed.png)
+
+A peer with other results than ours stops the run. Times and ratios are medians. A target is a
+minimum ratio or rate, or a maximum time, size or growth; missed ones are marked. `pip install -e
+".[bench]"` (and `maze-dataset "muutils<0.9"`) installs the peers; missing ones are skipped.
+Single tables go by their names: labels, paths, terrain, making, build, loading, planners.
+`--quick` takes a minute or two and is less exact.
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Print the tables asked for, one after another, and write them as a page if told so."""
+    """Print the tables asked for, one after another, and write them as a page with --write."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks",
         description="Measure ours beside the peers, on an idle machine.",

@@ -210,8 +210,7 @@ def table(quick: bool, parent: str | None = None) -> str:
         rows += first_rows(folder, 1 if quick else 3)
         rows += import_rows(5 if quick else 15)
     notes = (
-        f"medians of {rounds} repeats (100,000 maps: 5, first build: {1 if quick else 3}), taking "
-        "turns",
-        f"preset paper, shards of {SHARD} maps; a target in seconds is a limit",
+        f"medians of {rounds} repeats (100,000 maps: 5, first build: {1 if quick else 3})",
+        f"preset paper, shards of {SHARD} maps",
     )
     return to_text("Building a dataset", rows, packages=PACKAGES, notes=notes)

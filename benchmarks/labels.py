@@ -233,9 +233,8 @@ def table(quick: bool, parent: str | None = None) -> str:
         *growth_rows(5e6 if quick else 2e8, rounds),
     ]
     notes = (
-        f"medians of {rounds} repeats, the contestants taking turns; one thread; a ratio is the "
-        "median of the repeats'",
-        "preset paper (64 x 64, Table 1), 4-connected, unless a row says otherwise; targets are "
-        "limits of time or ratios, for growth what linear would be",
+        f"medians of {rounds} repeats, one thread",
+        "preset paper (64 x 64), 4-connected, unless a row says otherwise; the target of a growth "
+        "is linear",
     )
     return to_text("Labels on one core", rows, packages=PACKAGES, notes=notes)

@@ -674,9 +674,8 @@ def table(quick: bool, parent: str | None = None) -> str:
             rows += reader_rows(folder, 100_000, rounds, ram_target="3x", only_ram=True)
     torch.set_num_threads(threads)
     notes = (
-        f"medians of {rounds} repeats, the readers taking turns; one thread; a ratio is the "
-        "median of the repeats'",
-        f"preset paper (64 x 64), batches of {BATCH} in random order, num_workers=0; data fresh "
-        "in the page cache",
+        f"medians of {rounds} repeats, one thread",
+        f"preset paper (64 x 64), batches of {BATCH} in random order, num_workers=0, files in the "
+        "page cache",
     )
     return to_text("Loading", rows, packages=PACKAGES, notes=notes, peers=PEERS)

@@ -152,13 +152,13 @@ def to_text(
     notes: Iterable[str],
     peers: Sequence[Peer] = (),
 ) -> str:
-    """Return the table in markdown, with versions, machine and the peers' commands on top."""
+    """Return the table in markdown; versions, machine and the peers' commands follow it."""
     found = versions([*packages, *(peer.package for peer in peers if peer.package not in packages)])
     commands = [
         f"{peer.name}: {f'skipped, {why}' if (why := peer.absence) else f'`{peer.command}`'}"
         for peer in peers
     ]
-    head = [f"## {title}", "", *(f"- {fact}" for fact in (found, machine(), *notes, *commands)), ""]
+    text = [f"## {title}", ""]
     marked = (
         row._replace(target=f"{row.target}, missed") if row.is_missed else row for row in rows
     )
@@ -166,12 +166,13 @@ def to_text(
     widths = [max(len(line[k]) for line in lines) for k in range(len(Row._fields))]
     lines.insert(1, ["-" * width for width in widths])
     for cells in lines:
-        head.append(
+        text.append(
             "| "
             + " | ".join(text.ljust(width) for text, width in zip(cells, widths, strict=True))
             + " |"
         )
-    return "\n".join(head) + "\n"
+    text += ["", *(f"- {fact}" for fact in (found, machine(), *notes, *commands))]
+    return "\n".join(text) + "\n"
 
 
 def versions(packages: Iterable[str]) -> str:

@@ -382,11 +382,9 @@ def table(quick: bool, parent: str | None = None) -> str:
     for side in (64, 256, 1024) if quick else (64, 256, 1024, 4096):
         rows += kinds_of(side, min(rounds, 5))
     notes = (
-        f"medians of {rounds} repeats, the contestants taking turns; one thread; a ratio is the "
-        "median of the repeats'",
-        "maps of Table 1, for larger ones with as many times the sides; between consecutive rooms, "
-        "4-connected",
-        "the rows of kinds of maps: 4 problems each between free cells, a short one at most 8 rows "
-        "and columns apart; 8-connected: diagonals cost 1 and cut corners, as those of pyastar2d",
+        f"medians of {rounds} repeats, one thread",
+        "maps of Table 1, larger ones in proportion, between consecutive rooms, 4-connected",
+        "rows of kinds of maps: 4 problems between free cells, short ones at most 8 rows and "
+        "columns apart; diagonals cost 1 and cut corners, as in pyastar2d",
     )
     return to_text("Paths", rows, packages=PACKAGES, notes=notes, peers=[*PEERS])

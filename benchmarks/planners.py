@@ -29,10 +29,10 @@ def table(quick: bool, parent: str | None = None) -> str:
     )
     if process.returncode:
         raise SystemExit(f"{COMMAND[1]} failed:\n{process.stderr}")
-    head = [
+    facts = [
         f"- {fact}"
         for fact in (versions(PACKAGES), machine(), f"`python {' '.join((*COMMAND, *arguments))}`")
     ]
     return (
-        "\n".join(["## Planners", "", *head, "", "```text", process.stdout.rstrip(), "```"]) + "\n"
+        "\n".join(["## Planners", "", "```text", process.stdout.rstrip(), "```", "", *facts]) + "\n"
     )

@@ -245,11 +245,9 @@ def table(quick: bool, parent: str | None = None) -> str:
     rows += picture_rows(rounds)
     rows += drawing_rows(rounds)
     notes = (
-        f"medians of {rounds} repeats, the contestants taking turns; one thread; a ratio is the "
-        "median of the repeats'",
-        f"{count} maps of each kind without occupied cells, single calls, 8-connected with cut "
-        "corners; each call has its own map and goal, so that the processor cannot learn the "
-        "branches of a map",
-        "pyastar2d has another rule: a move costs what the cell that it enters costs",
+        f"medians of {rounds} repeats, one thread",
+        f"{count} maps of each kind without occupied cells, single calls with another map and goal "
+        "each, 8-connected, corners are cut",
+        "in pyastar2d a move costs what the entered cell costs",
     )
     return to_text("Terrain", rows, packages=PACKAGES, notes=notes, peers=[SCIKIT_IMAGE, PYASTAR2D])

@@ -43,7 +43,7 @@ def build_command(
     scheduler: str | None = None,
     part: str = "0/1",
 ) -> None:
-    """Make maps with all labels as shards; run again to go on, ask for more maps to extend.
+    """Make maps with all labels as shards; run it again to continue, or to extend with more --maps.
 
     Examples:
       mapdata build data/maps
@@ -54,17 +54,16 @@ def build_command(
 
     Args:
         root: folder of the dataset
-        maps: how many maps (default: 10000, or the recipe's)
-        seed: 64-bit seed (default: 0, or the recipe's)
+        maps: number of maps (default: 10000, or that of the recipe)
+        seed: 64-bit seed (default: 0, or that of the recipe)
         preset: paper, narrow, dungeon, dungeon128, maze, maze15, maze30, cave, forest, noise,
             terrain or tiles (default: paper); 'mapdata list' describes them
-        map_size: rows and columns of a map, in place of the preset's
-        recipe: which maps: a preset's name, a file that holds what 'mapdata info ROOT --recipe'
-            prints, or such JSON text
+        map_size: rows and columns of a map instead of those of the preset
+        recipe: a file that 'mapdata info ROOT --recipe' wrote, such JSON text, or a preset's name
         shard_size: maps a shard
         workers: threads (default: all cores)
         scheduler: build with Dask: tcp://HOST:PORT of a scheduler
-        part: K/N makes only part K of N, K from 0 to N - 1: for array jobs on a shared folder
+        part: K/N makes only part K of N (K from 0 to N - 1), for array jobs on a shared folder
     """
     from mapdata.generators import MapGenerator, as_recipe
     from mapdata.shards import build
@@ -102,7 +101,7 @@ def build_command(
 def info_command(
     root: list[str], *, recipe: bool = False, card: Literal[True] | str | None = None
 ) -> None:
-    """Say what a dataset is, or write its card.
+    """Print counts, shares and hashes of a dataset, or write its card.
 
     Examples:
       mapdata info data/maps
@@ -110,8 +109,8 @@ def info_command(
       mapdata info data/maps --card
 
     Args:
-        root: folder or URL of the dataset; several are one after another
-        recipe: print the few lines of JSON that are the dataset
+        root: folder or URL of the dataset; maps of several are numbered one after another
+        recipe: print the recipe, a few lines of JSON that make the dataset again
         card: write the dataset card (default: README.md in ROOT)
     """
     from mapdata.describe import card as card_of
@@ -143,7 +142,7 @@ def verify_command(root: list[str], *, repair: bool = False) -> None:
       mapdata verify data/maps --repair
 
     Args:
-        root: folder or URL of the dataset; several are one after another
+        root: folder or URL of the dataset; maps of several are numbered one after another
         repair: make damaged and missing shards again from the recipe
     """
     from mapdata.shards.corruption import inspect, repair_faults
@@ -199,7 +198,7 @@ def show_command(
       mapdata show data/maps --figure gallery -o gallery.png
 
     Args:
-        root: folder or URL of the dataset; several are one after another
+        root: folder or URL of the dataset; maps of several are numbered one after another
         index: number of the map (default: 0)
         output: picture; a file of this name is replaced (default: map.png, and where that exists
             map-2.png and so on)
@@ -236,10 +235,10 @@ def report_command(root: list[str], *, output: str | None = None, maps: int = 50
       mapdata report data/maps -o report.html
 
     Args:
-        root: folder or URL of the dataset; several are one after another
+        root: folder or URL of the dataset; maps of several are numbered one after another
         output: page; a file of this name is replaced (default: report.html, and where that exists
             report-2.html and so on)
-        maps: how many maps to browse
+        maps: number of maps on the page
     """
     from mapdata.plotting.html_report import report
     from mapdata.shards import write_output
@@ -254,7 +253,7 @@ def report_command(root: list[str], *, output: str | None = None, maps: int = 50
 
 
 def list_command() -> None:
-    """List the presets of 'mapdata build --preset', each with what differs from its family.
+    """List the presets of 'mapdata build --preset', with their sizes and parameters.
 
     The parameters are written as in the spec of a --recipe.
 

@@ -239,8 +239,8 @@ def add_import_flag(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="MODULE",
-        help="import a module first, such as one with a family of maps of your own; it is also "
-        "looked for in the working folder, as by python -m",
+        help="import a Python module first, for example with your own family of maps; it may be in "
+        "the working folder",
     )
 
 

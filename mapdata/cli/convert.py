@@ -114,7 +114,7 @@ def movement_of_flags(
 
 
 def check_scen_command(file: list[str], *, maps: str | None = None) -> None:
-    """Solve the problems of .scen files; exit code 1 unless each published optimal length is ours.
+    """Solve the problems of .scen files; exit code 1 if a published length differs from ours.
 
     A file whose lengths are all 0 gives none, so there is nothing to compare. A file that cannot be
     read does not end the run: it is named at the end, and the exit code is 2.

@@ -51,23 +51,23 @@ def export_command(
         source: folder or URL of a dataset, or several; for problems also a preset or a recipe
         target: new folder; for planning-datasets a new .npz file
         fields: names, separated by commas (default: map,start,goal,path,cost)
-        split: only this one
+        split: export only this split
         count: problems of each split (default: all; of a preset, one on each of its 10,000 maps)
         problems: route, pairs or random, or JSON (default: route, or what the layout's repository
             draws; random with a band)
-        distance: costs of random problems, in cells, as MIN:MAX; a side may be left out
+        distance: costs of random problems, in cells, as MIN:MAX; either may be left out
         hardness: cost over heuristic of random problems, as MIN:MAX
         length: cells of the path of random problems, as MIN:MAX
         search: which shortest path
         connectivity: how paths move (default: as stored, or the rule of the layout's repository)
-        corner_cutting: diagonal moves beside occupied cells too
+        corner_cutting: allow diagonal moves beside occupied cells
         diagonal_cost: 1 or 1.41421356
-        radius: of the robot, in metres
-        augment: turn and mirror the training split at random
+        radius: radius of the robot, in metres
+        augment: turn and mirror the training samples at random
         max_length: for arrays, pad paths to this many cells
-        seed: of the maps of a preset or recipe
-        sampling_seed: of random problems and of --augment
-        licence: for the card of parquet, as the Hugging Face Hub writes it
+        seed: seed of the maps of a preset or recipe
+        sampling_seed: seed of random problems and of --augment
+        licence: licence on the card of parquet, as the Hugging Face Hub spells it
         **options: those of the formats of maps
     """
     from mapdata.cli.convert import movement_of_flags, unprefixed_options

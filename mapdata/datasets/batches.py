@@ -714,7 +714,7 @@ def _successor(manifest: Manifest, current: Manifest, entry: Entry) -> int | Non
     same_recipe = manifest.identity is not None and manifest.identity == current.identity
     for k, candidate in enumerate(current.shards):
         covers = candidate.start == entry.start and candidate.stop >= entry.stop
-        # Without a recipe only the hash tells that maps are the same.
+        # Without a recipe only the hash shows that maps are the same.
         same_maps = same_recipe or (
             candidate.stop == entry.stop and candidate.content_hash == entry.content_hash
         )

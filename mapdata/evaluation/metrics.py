@@ -115,7 +115,7 @@ def evaluate(
 
     The first call of each planner is not timed. All columns but ``ms_batched`` are of `plan`.
 
-    On terrain, L is the cost on the true terrain. A `Planner` that takes terrain is told it; any
+    On terrain, L is the cost on the true terrain. A `Planner` that takes terrain receives it; any
     other one plans on the grid alone, as if all free cells cost the same. Nearly all problems on
     terrain are hard, so that its two rows are nearly the same. `score_paths` scores paths that were
     planned on predicted costs.

@@ -207,7 +207,7 @@ def _has_terrain(source: Collection) -> bool:
     terrain_count = sum(foreign_map.terrain is not None for foreign_map in source.maps)
     if 0 < terrain_count < len(source.maps):
         raise ValueError(
-            f"{terrain_count} of {len(source.maps)} maps have terrain: import them by themselves"
+            f"{terrain_count} of {len(source.maps)} maps have terrain: import them separately"
         )
     return terrain_count > 0
 

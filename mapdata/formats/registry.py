@@ -126,7 +126,7 @@ def read_any(
 
     Args:
         source: file or folder.
-        format_name: name of a format that can be read; by default `recognise` tells it.
+        format_name: name of a format that can be read; by default `recognise` finds it.
         limits: of what is read, and whether a progress bar shows it.
         options: those of the format's ``read``.
 

@@ -151,7 +151,7 @@ class Root:
             shard = open_shard(path, entry.bytes, entry.sha256)
         except FileNotFoundError:
             raise ShardError(
-                f"{path}: missing; 'mapdata verify {location}' tells what else is"
+                f"{path}: missing; 'mapdata verify {location}' lists all missing files"
             ) from None
         has_header = shard.header == manifest.header(*entry.limits)
         if not has_header or shard.content_hash != entry.content_hash:

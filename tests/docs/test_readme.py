@@ -32,22 +32,15 @@ def test_both_command_lines_stand_at_the_top() -> None:
 
 
 def test_its_numbers_are_those_of_the_benchmarks() -> None:
-    """Each figure of the table stands in docs/benchmarks.md."""
+    """Each figure of the list stands in docs/benchmarks.md."""
     measured = (DOCS / "benchmarks.md").read_text(encoding="utf-8")
     table = README.split("## In numbers")[1].split("## ")[0]
     for said, written in {
         "**26 µs**": "| 26 us ",
-        "856 times naive": " 856x ",
-        "103 times": " 103x ",
-        "**30,635 maps/s**": "326 ms, 30,635 maps/s",
-        "in 0.3 s": "326 ms",
+        "856 times as fast as naive": " 856x ",
         "**1,072,000 samples/s**": "1,071,869 samples/s",
-        "5.1 times indexing": " 5.10x ",
-        "nine tenths of `index_select`": " 0.88x ",
-        "270 times": " 270x ",
         "**4.2 µs**": " 4.18 us ",
         "5.3 times as fast": " 5.3x ",
-        "21.6 times": " 21.6x ",
     }.items():
         assert said in table
         assert written in measured, f"README says {said}"

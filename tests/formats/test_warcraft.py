@@ -254,7 +254,7 @@ def test_maps_with_and_without_terrain_are_not_one_dataset(folder: Path, tmp_pat
     grid: Bytes = np.zeros((5, 6), np.uint8)
     np.save(tmp_path / "plain.npy", grid)
     collection.maps += read_any(tmp_path / "plain.npy").maps
-    with pytest.raises(ValueError, match="9 of 10 maps have terrain: import them by themselves"):
+    with pytest.raises(ValueError, match="9 of 10 maps have terrain: import them separately"):
         import_maps(tmp_path / "data", collection)
 
 

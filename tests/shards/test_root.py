@@ -353,13 +353,13 @@ def test_what_stays_is_named(fault: str, server: Server, monkeypatch: pytest.Mon
 
 
 def test_the_tries_are_those_of_the_page() -> None:
-    """docs/loading.md says how often, after what pauses, and within what limit."""
-    page = (Path(__file__).parents[2] / "docs" / "loading.md").read_text(encoding="utf-8")
+    """docs/urls.md says how often, after what pauses, and within what limit."""
+    page = (Path(__file__).parents[2] / "docs" / "urls.md").read_text(encoding="utf-8")
     assert TRIES == ((1, 4), 20, 300)
     for text in (
         "asked three times",
         "pauses of 1 and 4",
-        "after 20 seconds without a byte",
+        "ends after 20 seconds without a byte",
         "or 5 minutes in all",
     ):
         assert text in " ".join(page.split())
