@@ -565,7 +565,6 @@ def solve_on_terrain(
     lattice = lattice_of(terrains.shape[1:], rule)
     scratch = scratch_view(memory, lattice)
     cell_costs = np.zeros(lattice.cells, np.uint8)
-    padded = load_terrain(terrains[0], lattice, cell_costs, scratch.came_from)
     sums = np.empty((count, 2), np.int64)
     expansions = np.empty(count, np.int64)
     offsets = np.zeros(count + 1, np.int64)
@@ -573,7 +572,7 @@ def solve_on_terrain(
     used = 0
     for b in range(count):
         terrain = terrains[b if len(terrains) > 1 else 0]
-        if b > 0 and len(terrains) > 1:
+        if b == 0 or len(terrains) > 1:  # Without problems there may be no terrain to load, either.
             padded = load_terrain(terrain, lattice, cell_costs, scratch.came_from)
         min_cost = 0 if allow_occupied_ends else 1
         if not _is_end(terrain, starts[b], min_cost) or not _is_end(terrain, goals[b], min_cost):

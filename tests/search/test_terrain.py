@@ -39,7 +39,12 @@ from mapdata.search.lattice import (
     move_rule,
     plain_lattice,
 )
-from mapdata.search.terrain import load_terrain, shortest_terrain_costs, terrain_heuristic
+from mapdata.search.terrain import (
+    load_terrain,
+    shortest_terrain_costs,
+    solve_on_terrain,
+    terrain_heuristic,
+)
 
 Array: TypeAlias = npt.NDArray[Any]
 
@@ -382,6 +387,26 @@ def test_a_batch_by_bfs_takes_terrain() -> None:
     terrain = np.array([[[1, 200, 1], [1, 1, 1]]], np.uint8)
     solutions = search_batch("bfs", terrain == 0, [(0, 0)], [(0, 2)], terrain=terrain)
     assert solutions.cost.tolist() == [2.0]
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.int64])
+def test_a_batch_without_problems_is_solved_on_terrain(dtype: type[np.integer[Any]]) -> None:
+    """There is no map either, and so no terrain to load."""
+    grids = np.zeros((0, 3, 4), np.uint8)
+    no_cells = np.zeros((0, 2), np.int64)
+    solutions = search_batch("astar", grids, no_cells, no_cells, terrain=grids.astype(dtype))
+    assert solutions.offsets.tolist() == [0]
+    assert len(solutions.cells) == len(solutions.cost) == len(solutions.iterations) == 0
+
+
+def test_the_kernel_reads_no_terrain_without_problems() -> None:
+    """As Python, where an index out of bounds is an error."""
+    terrains = np.zeros((0, 3, 4), np.uint8)
+    no_cells = np.zeros((0, 2), np.int64)
+    memory = np.empty(2**12, np.uint8)
+    compiled: Any = solve_on_terrain
+    answer = compiled.py_func(terrains, no_cells, no_cells, 0, ASTAR, move_rule(OCTILE), memory)
+    assert answer[-2:] == (0, 0)
 
 
 # --- costs that are too high --------------------------------------------------------------------
