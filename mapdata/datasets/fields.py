@@ -509,9 +509,10 @@ def waypoints(batch: Batch) -> Float32s:
 
 
 def image(batch: Batch) -> Bytes:
-    """``image``: (B, 3, k * H, k * W) uint8, a picture of the map as served, red, green and blue.
+    """``image``: (B, 3, k * H, k * W) uint8, a picture of the map, red, green and blue.
 
-    Each cell is a tile of k x k pixels, drawn by its cost. k is 8, or that of a `Tiles`.
+    Each cell is a tile of k x k pixels, drawn by its cost. k is 8, or that of a `Tiles`. The
+    picture is turned and reflected with the map, but it is not inflated by a radius.
     """
     return Tiles()(batch)
 

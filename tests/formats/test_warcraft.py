@@ -191,7 +191,7 @@ FAULTS = {
     "fewer paths": "has shape (3, 5, 6), expected (4, 5, 6) as train_vertex_weights.npy",
     "path of 2": "train_shortest_paths.npy: map 0: holds 2 to 2, expected only 0 and 1",
     "flat weights": "has shape (4, 30), expected (N, H, W)",
-    "no maps": "has shape (0, 5, 6), expected (N, H, W)",
+    "no maps": "has shape (0, 5, 6), expected (N, H, W), none of them 0",
     "huge": "has 128 bytes, expected 128 for its header and those of",
     "wide": "has 128 bytes, expected 128 for its header and those of",
     "cut off": "expected 128 for its header and those of",
