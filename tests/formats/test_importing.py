@@ -372,5 +372,7 @@ def test_a_map_with_costs_that_are_too_high_is_named_as_in_its_source(tmp_path: 
                 terrain=terrain.astype(np.uint8),
             )
         )
-    with pytest.raises(ValueError, match=r"^high: terrain: a path costs 1,0.*, and costs are exact"):
+    with pytest.raises(
+        ValueError, match=r"^high: terrain: a path costs 1,0.*, and costs are exact"
+    ):
         import_maps(tmp_path / "out", source)

@@ -41,6 +41,7 @@ from mapdata.search.lattice import (
 )
 from mapdata.search.terrain import (
     load_terrain,
+    min_cell_costs,
     shortest_terrain_costs,
     solve_on_terrain,
     terrain_heuristic,
@@ -556,6 +557,13 @@ def test_terrain_is_inflated_like_its_grid() -> None:
         (inflated == 0).tolist(), (1, 1), (1, 7), OCTILE, inflated.tolist()
     )
     assert solution[1:] == expected[1:]
+
+
+def test_the_smallest_costs_are_those_of_the_free_cells() -> None:
+    """Occupied cells do not count; a map without a free cell has a cost that no cell has."""
+    terrain = np.array([[[0, 7], [255, 9]], [[255, 255], [0, 0]], [[0, 0], [0, 0]]], np.uint8)
+    assert min_cell_costs(terrain).tolist() == [7, 255, 256]
+    assert min_cell_costs(terrain[0]) == 7
 
 
 def test_the_smallest_cost_is_that_of_the_searched_map() -> None:
