@@ -178,7 +178,9 @@ class CostPredictor(Model):
         terrain = as_terrain(costs.detach().cpu().numpy(), grids)
         maps, paths = random_parts(batch.path.cpu().numpy(), int(self.hparams["parts"]))
         lengths = [len(path) for path in paths]
-        given = path_weights(np.concatenate(paths), offsets_of(lengths), grids, self.movement, maps)
+        teacher_weights = path_weights(
+            np.concatenate(paths), offsets_of(lengths), grids, self.movement, maps
+        )
         shortest = search_batch(
             "astar",
             grids[maps],
@@ -187,9 +189,13 @@ class CostPredictor(Model):
             self.movement,
             terrain=terrain[maps],
         )
-        found = path_weights(shortest.cells, shortest.offsets, grids, self.movement, maps)
-        (difference,) = self.tensors(given - found)  # (B, H, W)
-        loss: Tensor = (costs * difference).sum() / len(paths)
+        shortest_weights = path_weights(
+            shortest.cells, shortest.offsets, grids, self.movement, maps
+        )
+        # A path costs the sum of weight times cost. The gradient of the loss for the costs is this
+        # difference of weights: no gradient passes through the search.
+        (weight_difference,) = self.tensors(teacher_weights - shortest_weights)  # (B, H, W)
+        loss: Tensor = (costs * weight_difference).sum() / len(paths)
         return loss
 
     def terrain_loss(self, batch: Sample) -> Tensor:

@@ -81,11 +81,13 @@ def evaluate_planners(
       python -m mapdata.models.evaluate planners --preset dungeon --maps 600 --seed 77
       python -m mapdata.models.evaluate planners data/maps --csv planners.csv
       python -m mapdata.models.evaluate planners arena.map.scen
+      python -m mapdata.models.evaluate planners --preset tiles --corner-cutting --diagonal-cost 1
 
     Args:
         root: in place of --preset: datasets, of which the test split is taken; or a file, which is
-            a MovingAI .scen, an .npz of planning-datasets, or one of --save
-        preset: paper, narrow, dungeon, dungeon128, maze, cave, forest or noise, or a recipe, as a
+            a MovingAI .scen, an .npz of planning-datasets or of a tile-based set, a
+            _vertex_weights.npy of a Warcraft set, or one of --save
+        preset: a preset that 'mapdata list' describes, such as terrain or tiles, or a recipe, as a
             file or JSON text (default: dungeon)
         seed: 64-bit seed of maps and problems (default: 77, or the recipe's), or of the starts of
             planning-datasets
@@ -162,7 +164,7 @@ def evaluate_samplers(
 
     Args:
         root: datasets, in place of --preset and --seed
-        preset: paper, narrow, dungeon, dungeon128, maze, cave, forest or noise, or a recipe, as a
+        preset: a preset that 'mapdata list' describes, but for terrain and tiles, or a recipe, as a
             file or JSON text (default: dungeon)
         seed: 64-bit seed of maps and problems (default: 77, or the recipe's)
         maps: how many maps (default: 1000, or the recipe's; of a dataset, all)

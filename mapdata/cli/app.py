@@ -65,7 +65,7 @@ def build_command(
         scheduler: build with Dask: tcp://HOST:PORT of a scheduler
         part: K/N makes only part K of N (K from 0 to N - 1), for array jobs on a shared folder
     """
-    from mapdata.generators import MapGenerator, as_recipe
+    from mapdata.generators import PRESETS, MapGenerator, as_recipe
     from mapdata.shards import build
     from mapdata.shards.cluster import dask_executor
 
@@ -78,6 +78,11 @@ def build_command(
     if recipe is not None:
         to_build = as_recipe(recipe, maps=maps, seed=seed)
     else:
+        if preset is None and root in PRESETS:
+            print(
+                f"note: {root} is taken for the folder, and the maps are those of the preset "
+                f"paper; 'mapdata build FOLDER --preset {root}' builds the preset {root}"
+            )
         generator = MapGenerator.preset(preset or "paper")
         if map_size is not None:
             generator = replace(generator, map_size=map_size)

@@ -45,7 +45,7 @@ def load_problems(
         if seed is None and recipe in PRESETS:
             seed = 77
         return ProblemSet.sample(recipe, seed, maps, **sampling_options)
-    is_file = len(root) == 1 and Path(root[0]).suffix.lower() in (".npz", ".scen")
+    is_file = len(root) == 1 and Path(root[0]).suffix.lower() in (".npy", ".npz", ".scen")
     if recipe is not None or (seed is not None and not is_file):
         raise ValueError("preset, seed: would do nothing beside the root of a dataset")
     if not is_file:

@@ -115,6 +115,13 @@ class Serving:
                 f"fields: got {self.fields!r}, expected a sequence of names or functions"
             )
         for field in self.fields:
+            # A class can be called, so it would be taken for a function of the batch.
+            for field_class, name in ((Tiles, "image"), (Waypoints, "waypoints")):
+                if field == field_class:
+                    raise ValueError(
+                        f"fields: got the class {field_class.__name__}, expected an instance such "
+                        f"as {field_class.__name__}(), or the name {name!r}"
+                    )
             if not callable(field) and field not in list(FIELDS):
                 raise ValueError(
                     f"fields: got {field!r}, expected a function or one of "

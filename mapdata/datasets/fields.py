@@ -39,7 +39,7 @@ from mapdata.search.footprint import clearances
 from mapdata.search.lattice import UNIT, move_rule
 from mapdata.search.lattice import hardness as hardness_of
 from mapdata.search.taut import NOT_FREE, robot_of, write_waypoints
-from mapdata.search.terrain import costs_from_sums
+from mapdata.search.terrain import costs_from_sums, min_cell_costs
 
 
 class Paths(NamedTuple):
@@ -196,13 +196,7 @@ class Batch:
 
         The heuristic of A* is multiplied by it. It is 256 on a map without free cells.
         """
-        if self.terrain is None:
-            return None
-        # As unsigned bytes, 0 - 1 is 255, so occupied cells are never the smallest. This takes a
-        # twentieth of the time of selecting the free cells.
-        costs_less_one = (self.terrain - np.uint8(1)).reshape(len(self.terrain), -1)
-        min_costs: Ints = costs_less_one.min(axis=1).astype(np.int64) + 1
-        return min_costs
+        return None if self.terrain is None else min_cell_costs(self.terrain)
 
     def _after_symmetries(self, grids: Bytes) -> Bytes:
         """Return stored grids or terrain, (B, H, W), after the symmetries of this batch."""
@@ -509,9 +503,10 @@ def waypoints(batch: Batch) -> Float32s:
 
 
 def image(batch: Batch) -> Bytes:
-    """``image``: (B, 3, k * H, k * W) uint8, a picture of the map as served, red, green and blue.
+    """``image``: (B, 3, k * H, k * W) uint8, a picture of the map, red, green and blue.
 
-    Each cell is a tile of k x k pixels, drawn by its cost. k is 8, or that of a `Tiles`.
+    Each cell is a tile of k x k pixels, drawn by its cost. k is 8, or that of a `Tiles`. The
+    picture is turned and reflected with the map, but it is not inflated by a radius.
     """
     return Tiles()(batch)
 

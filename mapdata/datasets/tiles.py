@@ -395,27 +395,30 @@ def _copy_tiles(
     pixels = textures.shape[3]
     width = np.uint64(columns * pixels)
     bank_pixels = textures.reshape(-1)
-    # Where the bank has the first row of pixels of the tiles of a row of cells.
+    texture_size = 3 * pixels * pixels
+    # For each column of pixels, where the bank has it in the first row and channel of its texture.
     sources = np.empty(width, np.uint64)
     for b in range(maps):
         index = np.uint64(map_numbers[b])
         for row in range(rows):
+            # Choose a texture for each cell of the row.
             for column in range(columns):
                 word, _, _, _ = block(seed, index, _TILE, IMAGE, row * columns + column)
                 texture = bounded(word, 0, TEXTURES - 1)
-                number = slots[terrain[b, row, column]] * TEXTURES + texture
+                texture_number = slots[terrain[b, row, column]] * TEXTURES + texture
                 for i in range(pixels):
-                    sources[column * pixels + i] = number * 3 * pixels * pixels + i
+                    sources[column * pixels + i] = texture_number * texture_size + i
+            # Copy the textures of all cells, one row of pixels of a channel after another.
             for channel in range(3):
                 for pixel_row in range(pixels):
                     picture_row = row * pixels + pixel_row
-                    line = pictures[b, channel, picture_row]
-                    source_row = np.uint64((channel * pixels + pixel_row) * pixels)
+                    picture_line = pictures[b, channel, picture_row]
+                    row_offset = np.uint64((channel * pixels + pixel_row) * pixels)
                     for x in range(width):
-                        line[x] = bank_pixels[sources[x] + source_row]
+                        picture_line[x] = bank_pixels[sources[x] + row_offset]
                     if len(noise_bank) > 0:
                         words = block(seed, index, _NOISE_RUN, IMAGE, 3 * picture_row + channel)
-                        _add_noise(noise_bank, words[0], words[1], line)
+                        _add_noise(noise_bank, words[0], words[1], picture_line)
 
 
 @inlined

@@ -278,7 +278,8 @@ class BestFirst(Batched):
         cost_per_move = 1
         if terrain is not None:
             # The heuristic on terrain multiplies by the smallest cost, and counts half units.
-            cost_per_move = 2 * int(min_cell_costs(np.asarray(terrain)).max(initial=1))
+            costs = np.asarray(terrain).astype(np.uint8)  # `solve_batch` refuses other numbers
+            cost_per_move = 2 * int(min_cell_costs(costs).max(initial=1))
         rows_and_columns = np.shape(grids)[1:]
         if self.weight * cost_per_move * sum(rows_and_columns) > MAX_ESTIMATE:
             raise ValueError(f"grids of shape {np.shape(grids)} are too large for {self}")

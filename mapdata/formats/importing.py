@@ -26,7 +26,7 @@ from mapdata.generators.splits import draw_splits, split_thresholds
 from mapdata.limits import MAX_ROOMS, MAX_SIDE, Size
 from mapdata.movement import Movement
 from mapdata.search.api import why_not_free
-from mapdata.search.labels import label
+from mapdata.search.labels import HighCostError, label
 from mapdata.search.lattice import move_rule
 from mapdata.shards.builder import planned_headers
 from mapdata.shards.files import StrPath, file_hash, make_folder, write_file
@@ -348,7 +348,7 @@ def _write(
         pool: labels the maps.
 
     Raises:
-        ValueError: ``folder`` holds another dataset.
+        ValueError: ``folder`` holds another dataset; terrain whose costs are too high to be exact.
     """
     another_dataset = ValueError(f"root: {folder} holds another dataset, expected an empty folder")
     if (folder / MANIFEST).exists() and replace(read_manifest(folder), shards=()) != plan:
@@ -364,7 +364,11 @@ def _write(
         shard_splits = splits[header.start : header.stop]
         unlabelled = to_maps(shard_maps, shard_splits, header, draws)
         # A kernel in the main thread could not be interrupted, so Ctrl-C would wait for its end.
-        labels = pool.submit(label, unlabelled).result()
+        try:
+            labels = pool.submit(label, unlabelled).result()
+        except HighCostError as error:
+            # The number of the map in the dataset would say nothing to the user.
+            raise ValueError(f"{maps[error.map_number].name}: {error.complaint}") from None
         for k, foreign_map in enumerate(shard_maps):
             if foreign_map.check is not None:
                 checked += 1

@@ -45,7 +45,7 @@ def check_weights(array: StoredArray, limits: Limits) -> None:
     """
     shape = array.shape
     if len(shape) != 3 or 0 in shape:
-        raise FormatError(f"{array.label}: has shape {shape}, expected (N, H, W)")
+        raise FormatError(f"{array.label}: has shape {shape}, expected (N, H, W), none of them 0")
     count, rows, columns = shape
     if rows * columns > limits.pixels:
         raise FormatError(

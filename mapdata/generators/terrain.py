@@ -266,7 +266,7 @@ def _place_obstacles(
     min_free_cells = min(2, cell_count) if corners_free else 1
     occupied_by_rank = np.zeros(cell_count, np.uint8)
     occupied_by_rank[max(cell_count - obstacle_cells, min_free_cells) :] = 1
-    first_cells = np.empty(_LAST + 1, np.int32)
+    next_ranks = np.empty(_LAST + 1, np.int32)
     for k in range(map_count):
         _fill_noise(noise, seed, np.uint64(indices[k]), _OBSTACLES, scale)
         if corners_free:
@@ -275,7 +275,7 @@ def _place_obstacles(
                 flat_noise[cell] += np.uint32(1)
             flat_noise[0] = 0
             flat_noise[cell_count - 1] = 0
-        _fill_by_rank(occupancy[k].reshape(-1), flat_noise, occupied_by_rank, first_cells)
+        _fill_by_rank(occupancy[k].reshape(-1), flat_noise, occupied_by_rank, next_ranks)
 
 
 @kernel
@@ -303,7 +303,7 @@ def _fill_levels(
     noise = np.empty((rows, columns), np.uint32)
     flat_noise = noise.reshape(-1)
     cost_by_rank = np.empty(rows * columns, np.uint8)
-    first_cells = np.empty(_LAST + 1, np.int32)
+    next_ranks = np.empty(_LAST + 1, np.int32)
     for k in range(map_count):
         _fill_noise(noise, seed, np.uint64(indices[k]), _HEIGHTS, scale)
         is_occupied = occupancy[k].reshape(-1)
@@ -319,7 +319,7 @@ def _fill_levels(
             cost_by_rank[level_start:level_end] = costs[level]
             level_start = level_end
         cost_by_rank[free_cells:] = 0
-        _fill_by_rank(terrain[k].reshape(-1), flat_noise, cost_by_rank, first_cells)
+        _fill_by_rank(terrain[k].reshape(-1), flat_noise, cost_by_rank, next_ranks)
 
 
 @kernel
@@ -382,14 +382,14 @@ def _add_octave(
         cubic = step * step * (3 * spacing - 2 * step)
         weights[step] = (cubic << _WEIGHT_BITS) // spacing**3
     # Interpolate between the columns of the lattice first: these rows are few.
-    one = np.uint32(2**_WEIGHT_BITS)
+    full_weight = np.uint32(2**_WEIGHT_BITS)  # the weights of two neighbours add up to this
     bits = np.uint32(_WEIGHT_BITS)
     stretched = np.empty((lattice_rows, columns), np.uint32)
     for lattice_row in range(lattice_rows):
         point = lattice_row * lattice_columns
         step = first_column
         for column in range(columns):
-            left = np.uint32(lattice[point] * np.uint32(one - weights[step]))
+            left = np.uint32(lattice[point] * np.uint32(full_weight - weights[step]))
             right = np.uint32(lattice[point + 1] * weights[step])
             stretched[lattice_row, column] = np.uint32(left + right) >> bits
             step += 1
@@ -401,7 +401,7 @@ def _add_octave(
         above = stretched[lattice_row]
         below = stretched[lattice_row + 1]
         weight_below = weights[step]
-        weight_above = np.uint32(one - weight_below)
+        weight_above = np.uint32(full_weight - weight_below)
         noise_row = noise[row]
         for column in range(columns):  # The compiler turns this loop into vector instructions.
             upper = np.uint32(above[column] * weight_above)
@@ -410,7 +410,7 @@ def _add_octave(
 
 
 @kernel
-def _fill_by_rank(cells: Bytes, noise: UInt32s, number_by_rank: Bytes, first_cells: Int32s) -> None:
+def _fill_by_rank(cells: Bytes, noise: UInt32s, number_by_rank: Bytes, next_ranks: Int32s) -> None:
     """Give each cell the number that belongs to its rank, by counting sort.
 
     Args:
@@ -418,19 +418,21 @@ def _fill_by_rank(cells: Bytes, noise: UInt32s, number_by_rank: Bytes, first_cel
         noise: (H * W,), by which the cells are ranked from 0, equal ones in row-major order; at
             most `_LAST`.
         number_by_rank: (H * W,), the number of each rank.
-        first_cells: (`_LAST` + 1,), is overwritten.
+        next_ranks: (`_LAST` + 1,), memory that is overwritten.
     """
-    # The number of cells of each noise; then the rank of its first cell; then of its next cell.
-    first_cells[:] = 0
+    # Count how many cells have each noise.
+    next_ranks[:] = 0
     for cell in range(len(cells)):
-        first_cells[np.int64(noise[cell])] += 1
+        next_ranks[np.int64(noise[cell])] += 1
+    # Replace the counts by the rank of the first cell of each noise.
     cells_below = np.int32(0)
-    for height in range(len(first_cells)):
-        cell_count = first_cells[height]
-        first_cells[height] = cells_below
+    for height in range(len(next_ranks)):
+        cell_count = next_ranks[height]
+        next_ranks[height] = cells_below
         cells_below += cell_count
+    # Each cell takes the next rank of its noise.
     for cell in range(len(cells)):
         noise_of_cell = np.int64(noise[cell])
-        rank = first_cells[noise_of_cell]
-        first_cells[noise_of_cell] = rank + 1
+        rank = next_ranks[noise_of_cell]
+        next_ranks[noise_of_cell] = rank + 1
         cells[cell] = number_by_rank[rank]

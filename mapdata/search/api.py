@@ -618,8 +618,9 @@ def as_terrain(terrain: ArrayLike, grid: Bytes) -> Bytes:
     if array.dtype != _UINT8:
         if array.dtype.kind not in "iu":
             raise ValueError(f"terrain: got dtype {array.dtype}, expected integers from 0 to 255")
-        if array.min() < 0 or array.max() > 255:
-            number = array[(array < 0) | (array > 255)][0]
+        is_outside = (array < 0) | (array > 255)
+        if is_outside.any():
+            number = array[is_outside][0]
             raise ValueError(f"terrain: got the value {number}, expected integers from 0 to 255")
         array = array.astype(np.uint8)
     disagreements = (array == 0) != grid

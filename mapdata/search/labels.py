@@ -56,6 +56,21 @@ memory.
 """
 
 
+class HighCostError(ValueError):
+    """A map on terrain whose costs are too high to be exact.
+
+    Attributes:
+        map_number: of the map.
+        complaint: the message, without the number of the map.
+    """
+
+    def __init__(self, map_number: int, complaint: str) -> None:
+        """Keep both, and put them together as the message."""
+        super().__init__(f"map {map_number}: {complaint}")
+        self.map_number = map_number
+        self.complaint = complaint
+
+
 @dataclass(frozen=True)
 class RouteLabels:
     """What BFS or A* finds on N maps with S segments and P pairs of rooms.
@@ -344,7 +359,8 @@ def _collect_terrain_labels(
     """Label a batch by A* on ``terrain`` (N, H, W), as `_collect_astar_labels` does without it.
 
     Raises:
-        ValueError: terrain that does not fit the maps, or whose costs are too high to be exact.
+        ValueError: terrain that does not fit the maps.
+        HighCostError: terrain whose costs are too high to be exact.
     """
     terrain = as_terrain(terrain, batch.grids)
     moves = np.empty(4 * batch.lattice.stride * int(batch.rooms.sum()), np.uint8)
@@ -354,7 +370,7 @@ def _collect_terrain_labels(
             terrain, *batch[1:], segment_table, pair_sums, moves, done, used
         )
         if high_cost:
-            raise ValueError(f"map {map_numbers[done]}: {high_cost_complaint(high_cost)}")
+            raise HighCostError(int(map_numbers[done]), high_cost_complaint(high_cost))
         if bad_room >= 0:
             return moves[:used], (done, bad_room)
         if done < len(batch.grids):

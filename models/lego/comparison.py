@@ -27,6 +27,7 @@ from mapdata.evaluation import confidence_intervals, with_interval
 from mapdata.plotting import PALETTE
 from mapdata.problems import HARD, ProblemSet
 
+from .experience import NO_SAMPLERS_ON_TERRAIN
 from .roadmap import SAMPLERS, MapSampler, halton, path_lengths, uniform
 from .sampler import Sampler
 
@@ -155,8 +156,10 @@ def compare(
         seed: seed of the resamples.
 
     Raises:
-        ValueError: no sampler, problem, size or resample, or a size below 2.
+        ValueError: no sampler, problem, size or resample, a size below 2, or problems on terrain.
     """
+    if problems.terrain is not None:
+        raise ValueError(NO_SAMPLERS_ON_TERRAIN)
     if not rows or not len(problems) or not sizes or min(sizes) < 2 or bootstrap < 1:
         raise ValueError(
             "expected at least one sampler, problem and resample, and sizes of 2 or more"

@@ -56,6 +56,12 @@ from .roadmap import build_roadmap, connection_radius, halton, roadmap_between
 MINED_TARGETS = ("lego", "shortest_path")
 """Names of the targets, in the order in which `mine` returns them."""
 
+NO_SAMPLERS_ON_TERRAIN = (
+    "roadmaps: got maps with terrain, expected maps whose free cells all cost the same, since "
+    "roadmaps are searched by length; take maps without terrain"
+)
+"""The error for samplers on terrain, whose costs neither they nor the roadmaps look at."""
+
 BANK_FIELDS = ("map", "start", "goal", "problem")
 """The fields that a dataset must have for a bank."""
 
@@ -388,8 +394,13 @@ class FixedProblems(MapDataModule):
         self.bank: Bank | None = None
 
     def setup(self, stage: str | None = None) -> None:
-        """Open the datasets of ``stage``; for training, mine or read the bank."""
+        """Open the datasets of ``stage``; for training, mine or read the bank.
+
+        Raises:
+            ValueError: maps with terrain.
+        """
         super().setup(stage)
+        check_no_terrain(self)
         if self.experience is not None and self.bank is None and "train" in self.datasets:
             self.bank = Bank.read_or_mine(self.datasets["train"], self.experience, self.mining)
 
@@ -404,6 +415,16 @@ class FixedProblems(MapDataModule):
             drop_last=loader.drop_last,
             **self.loader_options,
         )
+
+
+def check_no_terrain(data: MapDataModule) -> None:
+    """Check that the datasets of a data module, which are open, have no terrain.
+
+    Raises:
+        ValueError: one of them has it.
+    """
+    if any(dataset.has_terrain for dataset in data.datasets.values()):
+        raise ValueError(NO_SAMPLERS_ON_TERRAIN)
 
 
 class _FirstEpoch(Subset[Sample]):

@@ -39,7 +39,7 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
-from mapdata import Sample, inflate
+from mapdata import MapDataModule, Sample, inflate
 from mapdata.arrays import Bytes, Floats, Ints
 from mapdata.checks import check_choice, check_count, check_resolution
 
@@ -47,7 +47,7 @@ from ..geometry import cell_numbers, check_problems, offsets
 from ..layers import Trunk, padded
 from ..model import Model, Tensors
 from ..symmetries import random_symmetry, restore_plane, transform_cells, transform_plane
-from .experience import MINED_TARGETS, Bank, FixedProblems
+from .experience import MINED_TARGETS, Bank, FixedProblems, check_no_terrain
 
 TRAINING_FIELDS = ("map", "start", "goal", "optimal_mask", "problem")
 """The fields for targets from a bank; `Heatmap` also learns from the cells of shortest paths."""
@@ -129,11 +129,13 @@ class Sampler(Model):
         """Take the bank of the data module, which the targets are read from.
 
         Raises:
-            ValueError: targets that need a bank, and data without one.
+            ValueError: maps with terrain; targets that need a bank, and data without one.
         """
+        data = self.trainer.datamodule  # type: ignore[attr-defined]
+        if isinstance(data, MapDataModule):
+            check_no_terrain(data)
         if self.targets == "path":
             return
-        data = self.trainer.datamodule  # type: ignore[attr-defined]
         if not isinstance(data, FixedProblems) or data.bank is None:
             raise ValueError(
                 f"targets: got {self.targets!r}, which need a bank of experience: expected data of "

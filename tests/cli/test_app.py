@@ -375,6 +375,19 @@ def test_every_help_has_examples_that_parse(verb: str, run: Command) -> None:
         parser.parse_args(shlex.split(example))
 
 
+def test_build_says_when_its_folder_has_the_name_of_a_preset(
+    run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise 'mapdata build tiles' would be taken for a way to build the preset."""
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = run("build", "tiles", "--maps", 2)
+    assert code == 0
+    assert "the maps are those of the preset paper; 'mapdata build FOLDER --preset tiles'" in out
+    code, out, _ = run("build", "maze", "--maps", 2, "--preset", "tiles")
+    assert code == 0
+    assert "note:" not in out
+
+
 def test_the_help_of_build_names_all_presets(run: Command) -> None:
     """The help lists them as text, since loading them would take seconds."""
     names = re.search(r"--preset PRESET +(.*?) \(default", run("build", "--help").out, re.DOTALL)

@@ -377,6 +377,15 @@ def test_terrain_of_ones_gives_the_fields_without_terrain(
 # --- batches --------------------------------------------------------------------------------------
 
 
+def test_a_batch_without_problems_has_all_fields() -> None:
+    """Their dtypes are those of other batches, and so are their shapes but for the first axis."""
+    online = OnlineMapDataset(SQUARE, seed=SEED, length=COUNT, fields=ALL_FIELDS, augment=True)
+    for empty, others in zip(online[0:0], online[:1], strict=True):
+        assert len(empty) == 0
+        assert empty.dtype == others.dtype
+        assert empty.ndim == others.ndim
+
+
 def test_a_batch_keeps_the_stored_maps_beside_the_served_ones() -> None:
     """Numbers, grids and terrain before augmentation and inflation, and the symmetries."""
     dataset = OnlineMapDataset(

@@ -17,7 +17,17 @@ import torch
 from helpers.reference_tiles import reference_picture, reference_texture
 from torch import nn
 
-from mapdata import Forest, MapDataset, OnlineMapDataset, Random, Terrain, Tiles, build, generate
+from mapdata import (
+    Forest,
+    MapDataset,
+    OnlineMapDataset,
+    Random,
+    Terrain,
+    Tiles,
+    Waypoints,
+    build,
+    generate,
+)
 from mapdata.arrays import Bytes, Ints
 from mapdata.datasets.tiles import TEXTURES, draw_textures, draw_tiles
 
@@ -348,6 +358,13 @@ def test_options_out_of_range_are_refused(options: dict[str, Any], message: str)
     """The message says what is expected."""
     with pytest.raises(ValueError, match=message):
         Tiles(**options)
+
+
+@pytest.mark.parametrize(("field_class", "name"), [(Tiles, "image"), (Waypoints, "waypoints")])
+def test_a_class_of_fields_without_parentheses_is_refused(field_class: Any, name: str) -> None:
+    """A class can be called, too, but it is no function of the batch."""
+    with pytest.raises(ValueError, match=rf"fields: got the class .* or the name '{name}'"):
+        OnlineMapDataset("tiles", fields=("map", field_class))
 
 
 def test_options_are_plain_values_that_can_be_sent_to_workers() -> None:

@@ -274,7 +274,7 @@ def row(table: pd.DataFrame, planner: str, subset: str = "all") -> pd.Series:
 @pytest.mark.parametrize("movement", [*MOVEMENTS, NEURAL_ASTAR], ids=str)
 def test_the_table_of_classical_planners_on_terrain(movement: Movement) -> None:
     """Optimal planners have no regret, and those that do not see the terrain have one."""
-    problems = tiles(40, movement, seed=3)
+    problems = tiles(40, movement, seed=8)  # a seed with which all problems are hard
     table = evaluate(classical(movement, terrain=True), problems, bootstrap=20)
     for name in ("Dijkstra", "A*", "A* with the exact goal field", "limit"):
         for end in ("", "_low", "_high"):

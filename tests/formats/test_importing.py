@@ -355,3 +355,24 @@ def test_readers_refuse_an_import_without_shards(tmp_path: Path) -> None:
         dataset_statistics(made.root)
     with pytest.raises(ValueError, match=says):
         Root.open(made.root).locate(3)
+
+
+def test_a_map_with_costs_that_are_too_high_is_named_as_in_its_source(tmp_path: Path) -> None:
+    """Its number in the dataset would say nothing to the user."""
+    corridor = np.full((3, 2100), 255, np.uint8)
+    corridor[1, :-1] = 0  # so that the path from row 0 to row 2 has 4,201 cells
+    source = Collection(movement=Movement(8))
+    for name, terrain in (("low", np.where(corridor == 255, 1, 0)), ("high", corridor)):
+        source.maps.append(
+            ForeignMap(
+                name,
+                (terrain == 0).astype(np.uint8),
+                seed_points=np.array([[0, 0], [2, 0]]),
+                rooms_known=True,
+                terrain=terrain.astype(np.uint8),
+            )
+        )
+    with pytest.raises(
+        ValueError, match=r"^high: terrain: a path costs 1,0.*, and costs are exact"
+    ):
+        import_maps(tmp_path / "out", source)

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mapdata import MapDataset, Movement, read_shard
+from mapdata.cli import load_problems
 from mapdata.formats import (
     FormatError,
     Limits,
@@ -190,7 +191,7 @@ FAULTS = {
     "fewer paths": "has shape (3, 5, 6), expected (4, 5, 6) as train_vertex_weights.npy",
     "path of 2": "train_shortest_paths.npy: map 0: holds 2 to 2, expected only 0 and 1",
     "flat weights": "has shape (4, 30), expected (N, H, W)",
-    "no maps": "has shape (0, 5, 6), expected (N, H, W)",
+    "no maps": "has shape (0, 5, 6), expected (N, H, W), none of them 0",
     "huge": "has 128 bytes, expected 128 for its header and those of",
     "wide": "has 128 bytes, expected 128 for its header and those of",
     "cut off": "expected 128 for its header and those of",
@@ -285,3 +286,12 @@ def test_problems_to_compare_planners_on_are_those_of_a_split(folder: Path) -> N
         path.unlink()
     with pytest.raises(FormatError, match=r"holds 0 files of the split 'val' among test_vertex"):
         read_problems(folder, split="val")
+
+
+def test_the_commands_that_compare_planners_take_a_file_of_weights(folder: Path) -> None:
+    """Its movement replaces the default of the flags."""
+    file = str(folder / "test_vertex_weights.npy")
+    problems = load_problems([file], None, None, 2, movement=Movement(8))
+    assert len(problems) == 2
+    assert problems.movement == Movement(8, corner_cutting=True, diagonal_cost=1.0)
+    np.testing.assert_array_equal(problems.terrain, costs_by_split()["test"][::2])

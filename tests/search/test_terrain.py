@@ -39,7 +39,13 @@ from mapdata.search.lattice import (
     move_rule,
     plain_lattice,
 )
-from mapdata.search.terrain import load_terrain, shortest_terrain_costs, terrain_heuristic
+from mapdata.search.terrain import (
+    load_terrain,
+    min_cell_costs,
+    shortest_terrain_costs,
+    solve_on_terrain,
+    terrain_heuristic,
+)
 
 Array: TypeAlias = npt.NDArray[Any]
 
@@ -384,6 +390,26 @@ def test_a_batch_by_bfs_takes_terrain() -> None:
     assert solutions.cost.tolist() == [2.0]
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.int64])
+def test_a_batch_without_problems_is_solved_on_terrain(dtype: type[np.integer[Any]]) -> None:
+    """There is no map either, and so no terrain to load."""
+    grids = np.zeros((0, 3, 4), np.uint8)
+    no_cells = np.zeros((0, 2), np.int64)
+    solutions = search_batch("astar", grids, no_cells, no_cells, terrain=grids.astype(dtype))
+    assert solutions.offsets.tolist() == [0]
+    assert len(solutions.cells) == len(solutions.cost) == len(solutions.iterations) == 0
+
+
+def test_the_kernel_reads_no_terrain_without_problems() -> None:
+    """As Python, where an index out of bounds is an error."""
+    terrains = np.zeros((0, 3, 4), np.uint8)
+    no_cells = np.zeros((0, 2), np.int64)
+    memory = np.empty(2**12, np.uint8)
+    compiled: Any = solve_on_terrain
+    answer = compiled.py_func(terrains, no_cells, no_cells, 0, ASTAR, move_rule(OCTILE), memory)
+    assert answer[-2:] == (0, 0)
+
+
 # --- costs that are too high --------------------------------------------------------------------
 
 STRIP = np.full((1, 9000), 255, np.uint8)
@@ -531,6 +557,13 @@ def test_terrain_is_inflated_like_its_grid() -> None:
         (inflated == 0).tolist(), (1, 1), (1, 7), OCTILE, inflated.tolist()
     )
     assert solution[1:] == expected[1:]
+
+
+def test_the_smallest_costs_are_those_of_the_free_cells() -> None:
+    """Occupied cells do not count; a map without a free cell has a cost that no cell has."""
+    terrain = np.array([[[0, 7], [255, 9]], [[255, 255], [0, 0]], [[0, 0], [0, 0]]], np.uint8)
+    assert min_cell_costs(terrain).tolist() == [7, 255, 256]
+    assert min_cell_costs(terrain[0]) == 7
 
 
 def test_the_smallest_cost_is_that_of_the_searched_map() -> None:

@@ -692,6 +692,20 @@ def test_a_perfect_sampler_is_perfect() -> None:
     assert all_problems.length_ratio["perfect"] < all_problems.length_ratio["halton"]
 
 
+def test_terrain_is_refused_in_a_comparison_and_in_training(tmp_path: Path) -> None:
+    """Roadmaps are searched by length, so costs of cells would be ignored."""
+    message = "roadmaps: got maps with terrain"
+    movement = Movement(8, corner_cutting=True, diagonal_cost=1)
+    problems = ProblemSet.sample("tiles", maps=2, movement=movement, problems="route")
+    with pytest.raises(ValueError, match=message):
+        compare(contenders({}), problems, [10])
+    with pytest.raises(ValueError, match=message):
+        FixedProblems(None, build={"spec": "tiles", "maps": 9}, experience=None).setup("fit")
+    data = MapDataModule(None, build={"spec": "tiles", "maps": 9})
+    with pytest.raises(ValueError, match=message):
+        trainer(tmp_path).fit(Heatmap(targets="path", widths=(4, 4, 4), passes=1), data)
+
+
 def test_a_roadmap_of_one_vertex_is_refused() -> None:
     """The half that is not Halton's would have no vertex."""
     with pytest.raises(ValueError, match="sizes of 2 or more"):
