@@ -1,35 +1,60 @@
-"""Measure docs/planner_tables.md: python docs/planner_tables.py [--transfer FILE].
+"""Compare planners on named sets of problems, and write the tables of the documentation.
 
-Each set of problems is a recipe: one problem on each map of seed 77, until so many are hard. The
-page has one table a set; docs/planners.md speaks of them. Up to an hour of one core.
+    python docs/planner_tables.py                           all planners on all sets: half an hour
+    python docs/planner_tables.py --set dungeon-hard-1000   on this set; may be repeated
+    python docs/planner_tables.py --set dungeon-hard-1000 --add my_module:planner
+    python docs/planner_tables.py --pages                   the tables again, measuring nothing
+    python docs/planner_tables.py --transfer                small networks of one family each
+    python docs/planner_tables.py --file FILE --weights FILE --baseline ROW    problems of others
 
-With --transfer it measures networks trained on one family each instead, tested on all of them, and
-writes their Hmean to a file as JSON.
+Each set is a recipe: one problem on each map of seed 77, until so many are hard. All figures are
+kept in docs/planner_results.json, set by set, so that a run that is stopped loses one set at most;
+planner_results.py says what stands in it. The tables of docs/planner_tables.md and those between
+the marks of docs/planners.md are made from it.
+
+`--add` measures a planner of your own alone and puts its row beside the others. NAME of
+MODULE:NAME is a planner, or a class or function that takes a `mapdata.Movement` and returns one.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
+import math
+import re
+import sys
+import time
 import warnings
+from collections.abc import Callable, Container, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 import pandas as pd
 import pytorch_lightning as pl
 import torch
-from torch import Tensor
+from planner_results import Results, this_run
 
 from mapdata import MapDataModule, MapGenerator, MapSpec, Maze, Movement, ProblemSet, evaluate
-from mapdata.evaluation import classical, with_interval
-from mapdata.models.geometry import heuristic, offsets
-from mapdata.models.learned_planners import GuidedSearch, planners
+from mapdata.arrays import Bytes
+from mapdata.cli import load_problems
+from mapdata.evaluation import BatchPlanner, Plan, Planner, classical
+from mapdata.limits import Cell
+from mapdata.models import GuidedSearch, NeuralAstar, PathPredictor, fast_precision
+from mapdata.models.evaluate import SHIPPED, load_weights
 from mapdata.models.mixed_batches import MixedBatches
-from mapdata.models.model import fast_precision
-from mapdata.models.path_predictor import TRAINING_FIELDS, PathPredictor
+from mapdata.models.path_predictor import TRAINING_FIELDS
 
 DOCS = Path(__file__).parent
+BATCH = 64
+TIMED = 100
+"""Number of problems of a set whose times are measured: a time needs fewer than an Hmean."""
 SEED = 77
+GOAL_FIELD = "A* with the exact goal field"
+JUMP_POINTS = "jump point search"
+SEARCH = "path_predictor (search)"
+INEXACT = ("weighted", "greedy")
+"""How the names of classical planners without optimal paths begin."""
 
 WIDE_ROOMS = MapSpec(
     (256, 256), rooms=(60, 120), room_rows=(8, 30), room_columns=(8, 30), passage_width=(1, 4)
@@ -48,168 +73,195 @@ GENERATORS: dict[str, tuple[MapGenerator, int]] = {
 }
 """The generators by name, each with the number of hard problems that are compared."""
 
+WITHOUT_PRESET = ("loops", "dungeon256")
+"""Generators that are no preset, so that no flag names them."""
+
 RULES = {
-    "": (Movement(8), "eight"),
-    "-cut": (Movement(8, corner_cutting=True), "cut"),
-    "-4": (Movement(4), "four"),
+    "": Movement(8),
+    "-cut": Movement(8, corner_cutting=True),
+    "-4": Movement(4),
 }
-"""The rules of movement, by what the names of sets have of them, and the names of their weights."""
+"""The rules of movement, by what the names of sets have of them."""
+
+SETS = {
+    f"{generator}{ending}-hard-{hard}": (generator, ending)
+    for ending in RULES
+    for generator, (_, hard) in GENERATORS.items()
+}
+"""The sets by name, in the order of the tables: the name of a generator, and that of a rule."""
+
+FIRST_SETS = [name for name, (_, ending) in SETS.items() if not ending]
+"""The sets of the first table of planners.md: 8 moves that cut no corner."""
 
 FAMILIES = ("dungeon", "maze", "cave", "forest", "noise")
 """Of the table of transfer."""
 
 COLUMNS = {
+    "ms": "ms alone",
+    "ms_batched": "ms in batches",
+    "prepared_ratio": "prepared",
+    "look_ratio": "looks",
+    "success": "success",
+    "expansion_ratio": "expansions",
     "opt": "Opt",
     "cost_ratio": "cost",
-    "expansion_ratio": "expansions",
+    "p_exp": "Exp",
     "hmean": "Hmean",
 }
+"""Columns of the tables, and their headings."""
 
-FOLLOWED = (
-    "as it ships",
-    "none followed",
-    "none followed, trust 0.4",
-    "untrained",
-    "untrained, none followed",
-    "cells to the goal",
-    "starts to the goal",
-)
-"""Columns of the table of what is followed."""
+SHORT = ("ms_batched", "expansion_ratio", "opt", "p_exp", "hmean")
+"""Columns of the tables of planners.md."""
+
+WITH_INTERVAL = ("expansion_ratio", "opt", "cost_ratio", "p_exp", "hmean")
 
 
-def problems_of(name: str, movement: Movement) -> ProblemSet:
-    """Return the set of problems of a generator under a movement."""
-    generator, hard = GENERATORS[name]
-    return ProblemSet.sample(generator, SEED, until_hard=hard, movement=movement)
+# --- measuring ----------------------------------------------------------------------------------
+
+
+def problems_of(name: str) -> ProblemSet:
+    """Return a set of `SETS`."""
+    generator, ending = SETS[name]
+    maps, hard = GENERATORS[generator]
+    return ProblemSet.sample(maps, SEED, until_hard=hard, movement=RULES[ending])
 
 
 def hard_of(problems: ProblemSet) -> ProblemSet:
-    """Return the hard ones alone."""
+    """Return the hard problems alone."""
     hard = problems.hard
     return ProblemSet(
         problems.grids[hard], problems.starts[hard], problems.goals[hard], problems.movement
     )
 
 
-class OneCell(PathPredictor):
-    """A path predictor that follows no moves: a cost to go is what the network says of its cell."""
+class InBatches:
+    """The answers of a planner to all problems of a set, which it gave in batches of 64.
 
-    def costs_to_go(
-        self, occupied: Tensor, goals: Tensor, scores: Tensor, ratios: Tensor
-    ) -> Tensor:
-        """Return the heuristic over its predicted ratio, (B, H, W)."""
-        least = heuristic(*offsets(goals, ratios.shape[1:]), self.movement)
-        return least / ratios.clamp(min=0.05)
-
-
-def with_and_without_moves(shipped: PathPredictor) -> list[GuidedSearch]:
-    """Return the search as it ships, without following moves, and with a network of no training.
-
-    Trust 0.4 was the best on other seeds before moves were followed, 0.15 is since.
+    `evaluate` asks for one plan after another, which takes a network three times as long.
     """
-    torch.manual_seed(0)
-    untrained = PathPredictor(**shipped.hparams)
-    one_cell = {}
-    for model in (shipped, untrained):
-        one_cell[model] = OneCell(**model.hparams)
-        one_cell[model].load_state_dict(model.state_dict())
-    return [
-        GuidedSearch("search", shipped),
-        GuidedSearch("search", one_cell[shipped].eval()),
-        GuidedSearch("search", one_cell[shipped], trust=0.4),
-        GuidedSearch("search", untrained.eval()),
-        GuidedSearch("search", one_cell[untrained].eval()),
-    ]
 
-
-def followed_to_the_goal(model: PathPredictor, problems: ProblemSet) -> list[str]:
-    """Return the shares of free cells and of starts from which 32 moves reach the goal."""
-    cells = []
-    starts = []
-    for k in range(0, len(problems), 16):
-        grids, goals = problems.grids[k : k + 16], problems.goals[k : k + 16]
-        scores = torch.from_numpy(model.predict(grids, goals)[0])
-        occupied, ends = model.tensors(grids[:, None], goals)
-        # the cost to go at the end of the moves is twice as much in one, but 0 at the goal in both
-        once, twice = (
-            model.costs_to_go(occupied, ends, scores, torch.full(grids.shape, ratio))
-            for ratio in (1.0, 0.5)
-        )
-        reached = (once == twice).numpy()
-        cells.append(reached[grids == 0])
-        begins = problems.starts[k : k + 16]
-        starts.append(reached[np.arange(len(begins)), begins[:, 0], begins[:, 1]])
-    return [f"{np.concatenate(each).mean():.2f}" for each in (cells, starts)]
-
-
-def what_is_followed(model: PathPredictor, problems: ProblemSet) -> list[str]:
-    """Return the row of a set: `FOLLOWED`."""
-    hmeans = [
-        evaluate([search], problems, bootstrap=1)["hmean"].iloc[0]
-        for search in with_and_without_moves(model)
-    ]
-    return [*map("{:.3f}".format, hmeans), *followed_to_the_goal(model, problems)]
-
-
-def markdown(rows: list[list[str]]) -> str:
-    """Return a table whose first row is its head."""
-    lines = ["| " + " | ".join(row) + " |" for row in rows]
-    return "\n".join([lines[0], "|---" * len(rows[0]) + "|", *lines[1:]])
-
-
-def milliseconds(value: float) -> str:
-    """Return a time, or a dash for what a planner cannot do."""
-    return "-" if pd.isna(value) else f"{value:.3f}"
-
-
-def page_of_sets() -> str:
-    """Return the tables of all sets, a summary first."""
-    summary = {}
-    followed = [["set", *FOLLOWED]]
-    sections = []
-    for ending, (movement, weights) in RULES.items():
-        model = PathPredictor.pretrained(weights)
-        for generator in GENERATORS:
-            problems = problems_of(generator, movement)
-            table = evaluate([*classical(movement), *planners(model)], hard_of(problems))
-            table = table[table["subset"] == "hard"]
-            name = f"{generator}{ending}-hard-{GENERATORS[generator][1]}"
-            print(f"{name}: {problems.content_hash[:12]}", flush=True)
-            rows = [["planner", "success", *COLUMNS.values(), "ms alone", "ms in batches"]]
-            measures = pd.DataFrame({metric: with_interval(table, metric) for metric in COLUMNS})
-            for k, row in enumerate(table.to_dict("records")):
-                measured = measures.iloc[k]
-                times = [milliseconds(row["ms"]), milliseconds(row["ms_batched"])]
-                rows.append([row["planner"], f"{row['success']:.3f}", *measured, *times])
-            sections.append(
-                f"## {name}\n\n{len(problems)} problems, {problems.hard.sum()} of them hard, set "
-                f"`{problems.content_hash[:12]}`; {problems.description}.\n\n{markdown(rows)}\n"
+    def __init__(self, planner: BatchPlanner, problems: ProblemSet) -> None:
+        """Solve the problems."""
+        self.name = planner.name
+        self.plans: dict[tuple[bytes, Cell, Cell], Plan] = {}
+        for first in range(0, len(problems), BATCH):
+            batch = slice(first, first + BATCH)
+            grids, starts, goals = (
+                problems.grids[batch],
+                problems.starts[batch],
+                problems.goals[batch],
             )
-            summary[name] = table.set_index("planner")["hmean"].map("{:.2f}".format)
-            if not ending:
-                followed.append([name, *what_is_followed(model, hard_of(problems))])
-    hmeans = pd.DataFrame(summary)
-    rows = [["set", *hmeans.index]]
-    for name in hmeans.columns:
-        rows.append([name, *hmeans[name]])
-    head = (
-        "# All planners on all sets\n\n"
-        "Made by `python docs/planner_tables.py`; [Planners compared](planners.md) says what the\n"
-        "columns are. Hard problems alone; ± is half the width of the 95 % interval. Times are of\n"
-        "one thread of a shared machine: compare those of one table;\n"
-        "[Benchmarks](benchmarks.md#planners) has those of an idle one.\n\n"
-        "## Hmean\n\n"
+            plans = planner.plan_batch(grids.copy(), starts.copy(), goals.copy())
+            for grid, start, goal, plan in zip(grids, starts, goals, plans, strict=True):
+                self.plans[grid.tobytes(), tuple(start.tolist()), tuple(goal.tolist())] = plan
+
+    def plan(self, grid: Bytes, start: Cell, goal: Cell) -> Plan:
+        """Return the answer to a problem of the set."""
+        return self.plans[grid.tobytes(), start, goal]
+
+
+def processor_ms(solve: Callable[[slice], object], batches: list[slice]) -> float:
+    """Return the milliseconds of processor time a problem, after a first call that is not timed.
+
+    On a machine that others use, too, time on the clock says more about them.
+    """
+    solve(batches[0])
+    began = time.process_time()
+    for batch in batches:
+        solve(batch)
+    seconds = time.process_time() - began
+    count: int = sum(batch.stop - batch.start for batch in batches)
+    return 1000 * seconds / count
+
+
+def times_of(planner: Planner, problems: ProblemSet) -> dict[str, float]:
+    """Return the columns ms and ms_batched of `evaluate`, as processor time."""
+
+    def solve_one(batch: slice) -> Plan:
+        start, goal = (
+            tuple(cells[batch.start].tolist()) for cells in (problems.starts, problems.goals)
+        )
+        return planner.plan(problems.grids[batch.start].copy(), start, goal)
+
+    def solve_batch(batch: slice) -> list[Plan]:
+        assert isinstance(planner, BatchPlanner)
+        grids, starts, goals = problems.grids[batch], problems.starts[batch], problems.goals[batch]
+        return planner.plan_batch(grids.copy(), starts.copy(), goals.copy())
+
+    count = min(TIMED, len(problems))
+    batches = [slice(k, min(k + BATCH, count)) for k in range(0, count, BATCH)]
+    is_batched = isinstance(planner, BatchPlanner)
+    return {
+        "ms": processor_ms(solve_one, [slice(k, k + 1) for k in range(count)]),
+        "ms_batched": processor_ms(solve_batch, batches) if is_batched else math.nan,
+    }
+
+
+def measured(
+    planners: Sequence[Planner],
+    problems: ProblemSet,
+    subset: str = "hard",
+    baseline: str | None = None,
+) -> pd.DataFrame:
+    """Return the rows of `evaluate` for all problems, with times of the first `TIMED` alone."""
+    answers = [
+        InBatches(planner, problems) if isinstance(planner, BatchPlanner) else planner
+        for planner in planners
+    ]
+    table = evaluate(answers, problems, baseline=baseline)
+    table = table[table["subset"] == subset].set_index("planner")
+    for planner in planners:
+        for column, ms in times_of(planner, problems).items():
+            table.loc[planner.name, column] = ms
+    return table.reset_index()
+
+
+def measure(results: Results, name: str, planners: Sequence[Planner], command: str) -> None:
+    """Measure planners on the hard problems of a set, and add them to the results."""
+    problems = problems_of(name)
+    generator = json.loads(GENERATORS[SETS[name][0]][0].to_json())
+    results.add_set(
+        name, problems, seed=SEED, until_hard=int(problems.hard.sum()), generator=generator
     )
-    moves = (
-        "\n\n## What is followed\n\n"
-        "Hmean of the search, 8-connected, with costs to go from the end of the 32 most probable\n"
-        "moves of each cell (`PathPredictor.costs_to_go`), and with those that the network says\n"
-        "of the cell itself, where none are followed; both with the shipped weights and with a\n"
-        "network without training. Trust is 0.15, chosen with moves followed, or 0.4, chosen\n"
-        "without, both on problems of other seeds. Last, the shares of free cells and of starts\n"
-        "from which the 32 moves of the shipped network reach the goal.\n\n"
-    )
-    return head + markdown(rows) + moves + markdown(followed) + "\n\n" + "\n".join(sections)
+    table = measured(planners, hard_of(problems))
+    results.add_rows(name, table, this_run(command))
+
+
+def all_planners(movement: Movement) -> list[Planner]:
+    """Return the classical planners and the search with the weights that ship for a movement."""
+    model = PathPredictor.pretrained(SHIPPED[movement])
+    return [*classical(movement), GuidedSearch(SEARCH, model)]
+
+
+def own_planner(reference: str) -> Callable[[Movement], list[Planner]]:
+    """Return a function that gives the planner of MODULE:NAME for a movement."""
+    module, separator, name = reference.partition(":")
+    if not separator:
+        raise ValueError(f"--add: got {reference}, expected MODULE:NAME")
+    sys.path.insert(0, str(Path.cwd()))
+    planner = getattr(importlib.import_module(module), name)
+    if hasattr(planner, "plan") and not isinstance(planner, type):
+        return lambda movement: [planner]
+    return lambda movement: [planner(movement)]
+
+
+def measure_file(
+    results: Results,
+    file: str,
+    weights: Sequence[str],
+    baseline: str | None,
+    command: str,
+) -> None:
+    """Measure all problems of a file of others, with networks of one's own beside the classical."""
+    problems = load_problems([file], None, 0 if file.endswith(".npz") else None, None)
+    name = Path(file).name
+    rows: list[Planner] = list(classical(problems.movement))
+    for path in weights:
+        model = load_weights(path)
+        rows.append(model if isinstance(model, NeuralAstar) else GuidedSearch(SEARCH, model))
+    results.add_set(name, problems, description=problems.description.replace(file, name))
+    table = measured(rows, problems, "all", baseline)
+    results.add_rows(name, table, this_run(command), baseline=baseline)
 
 
 def trained_on(names: list[str], steps: int) -> PathPredictor:
@@ -249,37 +301,361 @@ def trained_on(names: list[str], steps: int) -> PathPredictor:
     return model.eval()
 
 
-def transfer(steps: int) -> dict[str, dict[str, float]]:
-    """Return Hmean of networks trained on a family each, on all, and on all but one."""
-    movement = Movement(8)
-    trainings = {name: [name] for name in FAMILIES}
-    trainings["all five"] = list(FAMILIES)
-    trainings["all but maze"] = [name for name in FAMILIES if name != "maze"]
-    trainings["all but cave"] = [name for name in FAMILIES if name != "cave"]
-    sets = {name: hard_of(problems_of(name, movement)) for name in FAMILIES}
-    found: dict[str, dict[str, float]] = {}
-    for training, names in trainings.items():
+def trainings() -> dict[str, list[str]]:
+    """Return the families of each training of the table of transfer."""
+    families = {name: [name] for name in FAMILIES}
+    families["all five"] = list(FAMILIES)
+    families["all but maze"] = [name for name in FAMILIES if name != "maze"]
+    families["all but cave"] = [name for name in FAMILIES if name != "cave"]
+    return families
+
+
+def transfer(results: Results, path: Path, steps: int, command: str) -> None:
+    """Train networks on a family each, on all, and on all but one, and measure them on all sets."""
+    for training, names in trainings().items():
         model = trained_on(names, steps)
-        found[training] = {}
-        for name, problems in sets.items():
-            table = evaluate([GuidedSearch("search", model)], problems, bootstrap=1)
-            found[training][name] = round(float(table["hmean"].iloc[0]), 3)
-        print(training, found[training], flush=True)
-    return found
+        search = GuidedSearch(trained_name(training), model)
+        for family in FAMILIES:
+            measure(results, set_of(family), [search], command)
+        results.write(path)
 
 
-def main() -> None:
-    """Measure, and write."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--transfer", help="file for the table of transfer")
+def trained_name(training: str) -> str:
+    """Return the planner's name in the results of a training of the table of transfer."""
+    return f"small network trained on {training}"
+
+
+def set_of(generator: str, ending: str = "") -> str:
+    """Return the name of a generator's set under a rule."""
+    return f"{generator}{ending}-hard-{GENERATORS[generator][1]}"
+
+
+# --- tables -------------------------------------------------------------------------------------
+
+
+def markdown(rows: Sequence[Sequence[str]]) -> str:
+    """Return a table whose first row is its head."""
+    lines = ["| " + " | ".join(row) + " |" for row in rows]
+    return "\n".join([lines[0], "|---" * len(rows[0]) + "|", *lines[1:]])
+
+
+def cell(number: float | None, digits: int = 3) -> str:
+    """Return a number of a table, or a dash where there is none."""
+    return "-" if number is None else f"{number:.{digits}f}"
+
+
+def is_main_row(planner: str) -> bool:
+    """Return whether a row is of the tables of sets, not of that of transfer."""
+    return not planner.startswith(trained_name(""))
+
+
+def with_half_width(row: dict[str, Any], metric: str) -> str:
+    """Return a metric of a row, followed by half the width of its interval where it has one."""
+    low, high = row[f"{metric}_low"], row[f"{metric}_high"]
+    if low is None:
+        return cell(row[metric])
+    return f"{cell(row[metric])} ±{(high - low) / 2:.3f}"
+
+
+def table_of(
+    results: Results,
+    name: str,
+    columns: Sequence[str] = tuple(COLUMNS),
+    left_out: Container[str] = (),
+) -> str:
+    """Return the table of a set, without the rows of some planners."""
+    rows = [["planner", *(COLUMNS[column] for column in columns)]]
+    for planner, row in results.rows_of(name).items():
+        if is_main_row(planner) and planner not in left_out:
+            cells = [
+                with_half_width(row, column) if column in WITH_INTERVAL else cell(row[column])
+                for column in columns
+            ]
+            rows.append([planner, *cells])
+    return markdown(rows)
+
+
+def short_table(results: Results, name: str) -> str:
+    """Return the table of a set for planners.md: of the classical rows only the best ones."""
+    rows = results.rows_of(name)
+    inexact = [planner for planner in rows if planner.startswith(INEXACT)]
+    best = max(inexact, key=lambda planner: float(rows[planner]["hmean"]), default=None)
+    left_out = {"BFS", "Dijkstra", "A*", "limit", *inexact} - {best}
+    return table_of(results, name, SHORT, left_out)
+
+
+def flags_of(name: str) -> str:
+    """Return the flags of `python -m mapdata.models.evaluate planners` that draw a set."""
+    generator, ending = SETS[name]
+    flags = f"--preset {generator} --until-hard {GENERATORS[generator][1]}"
+    rule = RULES[ending]
+    if rule.connectivity == 4:
+        flags += " --connectivity 4"
+    return flags + (" --corner-cutting" if rule.corner_cutting else "")
+
+
+def table_of_sets(results: Results) -> str:
+    """Return the recipes, sizes and hashes of all sets that have a preset."""
+    rows = [["set", "flags", "problems", "hard", "hash"]]
+    for name in SETS:
+        if name in results.sets and SETS[name][0] not in WITHOUT_PRESET:
+            drawn = results.sets[name]
+            sizes = [f"{drawn['problems']:,}", f"{drawn['hard']:,}"]
+            rows.append([name, f"`{flags_of(name)}`", *sizes, f"`{drawn['hash'][:12]}`"])
+    return markdown(rows)
+
+
+def table_of_hmeans(results: Results) -> str:
+    """Return Hmean of all planners on all sets."""
+    hmeans: dict[str, dict[str, float]] = {}
+    for row in results.rows:
+        if row["set"] in SETS and is_main_row(row["planner"]):
+            hmeans.setdefault(row["planner"], {})[row["set"]] = row["hmean"]
+    rows = [["set", *hmeans]]
+    for name in SETS:
+        if name in results.sets:
+            rows.append([name, *(cell(hmeans[planner].get(name), 2) for planner in hmeans)])
+    return markdown(rows)
+
+
+def transfer_source(results: Results) -> str:
+    """Return where the table of transfer is from, if it was not measured with the other tables."""
+    for row in results.rows:
+        source = results.runs[row["run"]].get("source")
+        if source and not is_main_row(row["planner"]):
+            return f" ({source})"
+    return ""
+
+
+def zero_shot_name(map_name: str, size: int, ending: str) -> str:
+    """Return the name of the set of problems on windows of a map, which zero_shot.py draws."""
+    return f"{map_name}-{size}{ending}-windows"
+
+
+def summary(results: Results, names: Iterable[str]) -> str:
+    """Return a table of one row for each set: the goal field, jump points and the network."""
+    rows = [
+        [
+            "set",
+            "goal field: ms",
+            "jump points: looks",
+            "expansions",
+            "Hmean",
+            "network: ms",
+            "expansions",
+            "Opt",
+            "Hmean",
+            "weighted A*: Hmean",
+        ]
+    ]
+    for name in names:
+        planners = results.rows_of(name)
+        if SEARCH not in planners:
+            continue
+        jumps = ["-"] * 3
+        if JUMP_POINTS in planners:
+            jump = planners[JUMP_POINTS]
+            jumps = [
+                cell(jump["look_ratio"], 1),
+                cell(jump["expansion_ratio"]),
+                cell(jump["hmean"]),
+            ]
+        search = planners[SEARCH]
+        learned = [
+            cell(search["ms_batched"], 1),
+            cell(search["expansion_ratio"]),
+            cell(search["opt"]),
+            with_half_width(search, "hmean"),
+        ]
+        weighted = max(
+            row["hmean"] for planner, row in planners.items() if planner.startswith(INEXACT)
+        )
+        field = cell(planners[GOAL_FIELD]["ms_batched"])
+        rows.append([name, field, *jumps, *learned, cell(weighted)])
+    return markdown(rows)
+
+
+def table_of_transfer(results: Results) -> str:
+    """Return Hmean of networks trained on some families, on the sets of all families."""
+    rows = [["trained on", *FAMILIES]]
+    hmeans = {(row["planner"], row["set"]): row["hmean"] for row in results.rows}
+    for training in trainings():
+        planner = trained_name(training)
+        rows.append([training, *(cell(hmeans.get((planner, set_of(f)))) for f in FAMILIES)])
+    return markdown(rows)
+
+
+def machines(results: Results) -> str:
+    """Return the machines and versions that the rows were measured with."""
+    lines = []
+    for run in results.runs:
+        if "machine" in run:
+            versions = ", ".join(f"{name} {version}" for name, version in run["versions"].items())
+            line = f"- {run['machine']}, {run['threads']} thread: {versions}"
+            if line not in lines:
+                lines.append(line)
+        else:
+            lines.append(f"- not measured by these scripts: {run['source']}")
+    return "\n".join(lines)
+
+
+PAGE = """# All planners on all sets
+
+[Planners compared](planners.md) says what the columns are. Hard problems alone; ± is half the width
+of the 95 % interval. Times are processor time of one thread, means over the
+first 100 problems.
+
+`python docs/planner_tables.py` measures all of it and keeps every figure in
+[planner_results.json](planner_results.json); `docs/planner_results.py` says what stands in that
+file. To put a planner of your own beside the others, in the file and in these tables:
+
+    python docs/planner_tables.py --set dungeon-hard-1000 --add my_module:planner
+
+`planner` is an object as [Your own planner](howto/planner.md) describes it, or a class or function
+that takes a `mapdata.Movement` and returns one.
+
+## The sets
+
+A set is a recipe: one problem on each map of seed 77, until a given number of them is hard. The
+hash is `ProblemSet.content_hash`: equal hashes mean equal problems, to the last cell.
+
+The flags are those of `python -m mapdata.models.evaluate planners --seed 77`.
+
+{sets}
+
+Two more have no preset: `loops`, mazes with corridors of two cells and a tenth of the walls
+reopened, and `dungeon256`, 60 to 120 rooms on 256 x 256 cells; the file of results has their
+generators. `-cut` says that corners may be cut, TransPath's rule, and `-4` that there are no
+diagonal moves, the default rule of our labels.
+
+`--save dungeon-hard-1000.npz` writes a set, which then takes the place of the recipe, in Python
+too: `ProblemSet.load("dungeon-hard-1000.npz")`.
+
+## Goal field, jump points and network
+
+Times are those in batches.
+
+{summary}
+
+## Hmean
+
+{hmeans}
+
+## What carries over
+
+Small networks (the defaults of `PathPredictor`), each trained for 2,000 steps: of 24 maps of one
+family, of 4 of each of all five, or of 6 of each but one; Hmean of the search on the hard problems
+of each column's set, as `python docs/planner_tables.py --transfer` measures it{transfer_source}.
+
+{transfer}
+
+Rooms, caves, forests and noise teach each other: caves that were left out are solved nearly as well
+as with them. Mazes do not: a network of mazes is lost elsewhere, and without mazes in the training
+it is lost in them. All five together cost little on rooms, caves and forests, more on mazes and
+noise: a family has a sixth of the maps that it has alone.
+
+## Measured on
+
+{machines}
+
+{sections}"""
+
+
+def ordered_sets(results: Results) -> list[str]:
+    """Return the names of the sets that are measured: those of `SETS` first."""
+    others = [name for name in results.sets if name not in SETS]
+    return [*(name for name in SETS if name in results.sets), *others]
+
+
+def page_of_sets(results: Results) -> str:
+    """Return docs/planner_tables.md."""
+    sections = []
+    for name in ordered_sets(results):
+        drawn = results.sets[name]
+        sections.append(
+            f"## {name}\n\n{drawn['problems']} problems, {drawn['hard']} of them hard, set "
+            f"`{drawn['hash'][:12]}`; {drawn['description']}.\n\n{table_of(results, name)}\n"
+        )
+    return PAGE.format(
+        sets=table_of_sets(results),
+        summary=summary(results, [name for name in SETS if name in results.sets]),
+        hmeans=table_of_hmeans(results),
+        transfer=table_of_transfer(results),
+        transfer_source=transfer_source(results),
+        machines=machines(results),
+        sections="\n".join(sections),
+    )
+
+
+def filled(page: str, tables: dict[str, str]) -> str:
+    """Return a page with its tables anew: each stands between two comments that name it."""
+    for name, table in tables.items():
+        mark = re.escape(f"<!-- table {name} -->")
+        page = re.sub(
+            f"({mark}\n).*?(<!-- end -->)",
+            lambda match: f"{match[1]}\n{table}\n\n{match[2]}",  # noqa: B023
+            page,
+            flags=re.DOTALL,
+        )
+    return page
+
+
+def write_pages(results: Results, folder: Path) -> None:
+    """Write planner_tables.md, and the tables of planners.md, of a folder."""
+    (folder / "planner_tables.md").write_text(page_of_sets(results), encoding="utf-8")
+    page = folder / "planners.md"
+    windows = [name for name in results.sets if name.endswith("-windows")]
+    tables = {
+        "summary": summary(results, [name for name in FIRST_SETS if name in results.sets]),
+        "zero-shot": summary(results, windows),
+    }
+    for name in results.sets:
+        if name not in SETS:
+            tables[name] = short_table(results, name)
+    page.write_text(filled(page.read_text(encoding="utf-8"), tables), encoding="utf-8")
+
+
+def words_of(arguments: Sequence[str]) -> list[str]:
+    """Return arguments as the results have them: without --folder, and files by their names."""
+    words = [*arguments]
+    if "--folder" in words:
+        place = words.index("--folder")
+        del words[place : place + 2]
+    return [Path(word).name if "/" in word else word for word in words]
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Measure what the command line says, and write the results and the pages."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--set", action="append", choices=SETS, metavar="NAME", dest="sets")
+    parser.add_argument("--add", metavar="MODULE:NAME", help="measure this planner alone")
+    parser.add_argument("--pages", action="store_true", help="measure nothing")
+    parser.add_argument("--transfer", action="store_true", help="the table of transfer")
     parser.add_argument("--steps", type=int, default=2000, help="of each of its trainings")
-    given = parser.parse_args()
+    parser.add_argument("--file", help="problems of others: a .scen, or an .npz")
+    parser.add_argument("--weights", action="append", default=[], help="networks for --file")
+    parser.add_argument("--baseline", help="row of --file whose expansions count as 1")
+    parser.add_argument("--folder", type=Path, default=DOCS, help="of results and pages")
+    options = parser.parse_args(arguments)
     warnings.simplefilter("ignore")
     torch.set_num_threads(1)
-    if given.transfer:
-        Path(given.transfer).write_text(json.dumps(transfer(given.steps), indent=1) + "\n")
-    else:
-        (DOCS / "planner_tables.md").write_text(page_of_sets(), encoding="utf-8")
+    path = options.folder / "planner_results.json"
+    results = Results.read(path)
+    command = " ".join(["python docs/planner_tables.py", *words_of(arguments or sys.argv[1:])])
+    if options.transfer:
+        transfer(results, path, options.steps, command)
+    elif options.file:
+        measure_file(results, options.file, options.weights, options.baseline, command)
+    elif not options.pages:
+        rows = own_planner(options.add) if options.add else all_planners
+        for name in options.sets or SETS:
+            measure(results, name, rows(RULES[SETS[name][1]]), command)
+            results.write(path)
+            print(f"{name}\n\n{table_of(results, name)}\n", flush=True)
+    results.write(path)
+    write_pages(results, options.folder)
 
 
 if __name__ == "__main__":

@@ -279,8 +279,8 @@ class PathPredictor(LearnedPlanner):
     def predict(self, grids: Bytes, goals: Ints) -> tuple[Float32s, Float32s]:
         """Return scores of the moves (B, moves, H, W) and costs to go (B, H, W), in cells.
 
-        A score is a log probability, up to a constant for each cell. `costs_to_go` derives the
-        costs from the heuristic ratios.
+        A score is a log probability, up to a constant for each cell. A cost to go is the heuristic
+        divided by the predicted heuristic ratio.
 
         Scores and ratios are means over two views: the map, and the map after half a turn. That
         takes twice the time, and makes paths shorter for no more expansions.
@@ -298,51 +298,9 @@ class PathPredictor(LearnedPlanner):
             scores /= 2
             ratios += turned_ratios.flip(1, 2)
             ratios /= 2
-            costs = self.costs_to_go(occupied, cells, scores, ratios)
+            h = heuristic(*offsets(cells, ratios.shape[1:]), self.movement)  # (B, H, W)
+            costs = h / ratios.clamp(min=MIN_RATIO)  # (B, H, W)
         return scores.cpu().contiguous().numpy(), costs.cpu().numpy()
-
-    def costs_to_go(
-        self, occupied: Tensor, goals: Tensor, scores: Tensor, ratios: Tensor
-    ) -> Tensor:
-        """Return the predicted cost from each cell to the goal, (B, H, W), as a 32-step return.
-
-            cost = sum of the costs of the next 32 moves + h / ratio at the cell where they end
-
-            cost      in cells
-            h         heuristic, in cells
-            ratio     predicted heuristic ratio, in [0, 1]
-
-        Each move is the most probable legal one of the cell that it starts from (Sutton and Barto,
-        Reinforcement Learning: An Introduction, 2nd edition, section 7.1). Neighbouring cells whose
-        moves soon lead to the same cell share the error of the ratio there, so that the difference
-        of their costs, which decides in a search, is nearly exact.
-
-        These moves are followed and not compared with others, so no expansions are counted for
-        them. docs/planners.md says how much they gain, and how often they reach the goal.
-
-        Args:
-            occupied: (B, 1, H, W), 0 free and anything else occupied.
-            goals: (B, 2), cells.
-            scores: (B, moves, H, W).
-            ratios: (B, H, W), in [0, 1].
-        """
-        h = heuristic(*offsets(goals, ratios.shape[1:]), self.movement)  # (B, H, W)
-        # The goal has no moves, so a path that reaches the goal ends there.
-        legal = legal_moves(occupied, self.movement) & (h > 0)[:, None]  # (B, moves, H, W)
-        best_score, move = torch.where(legal, scores, -math.inf).max(dim=1)  # (B, H, W) both
-        has_move = best_score > -math.inf  # (B, H, W)
-        down, right = torch.tensor(STEPS[: scores.shape[1]], device=self.device).T  # (moves,) both
-        # Cells are numbered through all maps of the batch, row by row.
-        cost = heuristic(down, right, self.movement)[move] * has_move  # (B, H, W), of one move
-        step = (down * ratios.shape[2] + right)[move] * has_move  # (B, H, W)
-        numbers = torch.arange(move.numel(), device=self.device).view_as(move)  # (B, H, W)
-        end = numbers + step  # (B, H, W), number of the cell where the move ends
-        # Path doubling: from n moves of each cell to 2 n moves, for n = 1, 2, 4, 8 and 16.
-        for _ in range(5):
-            cost = cost + cost.take(end)
-            end = end.take(end)
-        predicted = h / ratios.clamp(min=MIN_RATIO)  # (B, H, W)
-        return cost + predicted.take(end)
 
     def predict_path(self, map: ArrayLike, start: ArrayLike, goal: ArrayLike) -> Ints:
         """Return the predicted path, (k, 2) cells, or (0, 2) where there is no path.

@@ -21,7 +21,6 @@ import pandas as pd
 import pytest
 import pytorch_lightning as pl
 import torch
-from helpers.reference import Cell, neighbours
 from pytorch_lightning.callbacks import ModelCheckpoint
 from torch.utils.data import DataLoader
 
@@ -119,9 +118,7 @@ def hard_rows(rows: Sequence[Planner], problems: ProblemSet) -> pd.DataFrame:
 
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
-def test_half_a_turn_of_a_map_turns_the_answer(
-    movement: Movement, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_half_a_turn_of_a_map_turns_the_answer(movement: Movement) -> None:
     """Predictions are means over the map and the map after half a turn, so that the prediction for
     a turned map is the turned prediction.
     """
@@ -133,95 +130,33 @@ def test_half_a_turn_of_a_map_turns_the_answer(
     turned = model.predict(grids[:, ::-1, ::-1], np.array([15, 23]) - goals)
     back = turned[0][:, HALF_TURN[: movement.connectivity], ::-1, ::-1]
     np.testing.assert_allclose(back, scores, rtol=1e-3, atol=1e-3)
-    # Where rounding decides which of two moves is more probable, costs are those of another path.
-    assert np.isclose(turned[1][:, ::-1, ::-1], costs, rtol=1e-3, atol=1e-3).mean() > 0.98
-    monkeypatch.setattr(model, "costs_to_go", lambda occupied, goals, scores, ratios: ratios)
-    _, ratios = model.predict(grids, goals)
-    _, turned_ratios = model.predict(grids[:, ::-1, ::-1], np.array([15, 23]) - goals)
-    np.testing.assert_allclose(turned_ratios[:, ::-1, ::-1], ratios, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(turned[1][:, ::-1, ::-1], costs, rtol=1e-3, atol=1e-3)
     with torch.inference_mode():
         of_one_view, _ = model(*model.tensors(grids[:, None], goals))
     assert np.abs(of_one_view.numpy() - scores).max() > 0.01
 
 
-def slow_cost_to_go(
-    grid: npt.NDArray[np.uint8],
-    scores: npt.NDArray[np.float32],
-    ratios: npt.NDArray[np.float32],
-    cell: Cell,
-    goal: Cell,
-    movement: Movement,
-) -> float:
-    """Return the cost of the 32 most probable moves plus the predicted cost to go at their end."""
-    moves = [tuple(move) for move in STEPS[: movement.connectivity].tolist()]
-    cost = 0.0
-    for _ in range(32):
-        options = []
-        for neighbour, step in neighbours(grid.tolist(), cell, movement):
-            move = moves.index((neighbour[0] - cell[0], neighbour[1] - cell[1]))
-            options.append((scores[move, cell[0], cell[1]], neighbour, step))
-        if cell == goal or not options:
-            break
-        _, cell, (_, diagonal_moves) = max(options)
-        cost += movement.diagonal_cost if diagonal_moves else 1.0
-    h = float(heuristics(np.array([cell]), np.array([goal]), movement)[0])
-    return cost + h / max(float(ratios[cell]), 0.05)
-
-
-@pytest.mark.parametrize("movement", MOVEMENTS)
-def test_costs_to_go_are_those_of_the_moves_that_follow(movement: Movement) -> None:
-    """For each free cell they equal those of a slow function in Python, for random scores and
-    ratios.
-    """
-    rng = np.random.default_rng(3)
-    grids = (rng.random((4, 9, 12)) < [[[0.0]], [[0.2]], [[0.4]], [[0.7]]]).astype(np.uint8)
-    grids[:, 4, 5] = 0
-    goals = np.tile([4, 5], (4, 1))
-    scores = rng.normal(size=(4, movement.connectivity, 9, 12)).astype(np.float32)
-    # Moves towards the goal are more probable, so that many paths end there.
-    rows, columns = np.indices((9, 12))
-    for move, (down, right) in enumerate(STEPS[: movement.connectivity].tolist()):
-        scores[:, move] -= np.abs(rows + down - 4) + np.abs(columns + right - 5)
-    ratios = rng.random((4, 9, 12)).astype(np.float32)
-    ratios[:, ::4] = 0
-    model = random_model(movement)
-    problems = model.tensors(grids[:, None], goals)
-    costs = model.costs_to_go(*problems, *model.tensors(scores, ratios)).numpy()
-    near_goal = 0
-    for k, row, column in np.argwhere(grids == 0).tolist():
-        cell = (row, column)
-        expected = slow_cost_to_go(grids[k], scores[k], ratios[k], cell, (4, 5), movement)
-        assert costs[k, row, column] == pytest.approx(expected, rel=1e-5)
-        near_goal += costs[k, row, column] < 16
-    assert near_goal > 40
-    assert (costs[:, 4, 5] == 0).all()
-
-
-def test_predicted_costs_to_go_are_those_of_both_views() -> None:
-    """They are `costs_to_go` of the mean scores and the mean ratios."""
+def test_predicted_costs_to_go_are_the_heuristic_over_the_mean_ratio_of_both_views() -> None:
+    """The heuristic is that of every cell to the goal, and the ratio counts as .05 at least."""
     model = random_model()
-    drawn = ProblemSet.sample(DUNGEON, 8, 4, movement=Movement(8))
-    scores, costs = model.predict(drawn.grids, drawn.goals)
-    occupied, goals = model.tensors(drawn.grids[:, None], drawn.goals)
+    with torch.no_grad():
+        assert model.network.head.bias is not None
+        model.network.head.bias[-4:] = -3  # so that some ratios are below .05, and some above
+    grids = (np.random.default_rng(0).random((3, 16, 24)) < 0.3).astype(np.uint8)
+    ends = np.array([[0, 0], [5, 7], [15, 23]])
+    costs = model.predict(grids, ends)[1]
+    occupied, goals = model.tensors(grids[:, None], ends)
+    last_cell = torch.tensor([15, 23])
     with model.inference():
         ratios = model(occupied, goals)[1]
-        ratios += model(occupied.flip(2, 3), 63 - goals)[1].flip(1, 2)
-        expected = model.costs_to_go(occupied, goals, torch.from_numpy(scores), ratios / 2)
-    np.testing.assert_array_equal(costs, expected.numpy())
-
-
-def test_true_predictions_are_true_costs_to_go() -> None:
-    """Scores of optimal moves and true ratios give every cell with a path its true cost to go."""
-    fields = (*TRAINING_FIELDS, "cost_to_go")
-    batch = OnlineMapDataset(DUNGEON, length=8, fields=fields, movement=Movement(8))[:]
-    bits = 2 ** torch.arange(8)[:, None, None]
-    scores = (batch.optimal_moves.long() & bits != 0).float()  # (8, 8, H, W)
-    ratios = batch.heuristic_ratio[:, 0]
-    costs = PathPredictor().costs_to_go(batch.map, batch.goal, scores, ratios)
-    has_path = batch.optimal_moves[:, 0] > 0
-    assert has_path.sum() > 8_000
-    expected = batch.cost_to_go[:, 0][has_path]
-    torch.testing.assert_close(costs[has_path], expected, rtol=1e-5, atol=1e-4)
+        ratios += model(occupied.flip(2, 3), last_cell - goals)[1].flip(1, 2)
+        ratios /= 2
+    assert 0.05 < (ratios < 0.05).float().mean() < 0.95
+    cells = np.argwhere(np.ones((16, 24)))
+    for k, goal in enumerate(ends):
+        least = heuristics(cells, np.tile(goal, (len(cells), 1)), Movement(8)).reshape(16, 24)
+        expected = least / np.maximum(ratios[k].numpy(), 0.05)
+        np.testing.assert_allclose(costs[k], expected, rtol=1e-5)
 
 
 def test_any_map_size() -> None:
@@ -600,7 +535,7 @@ def test_the_weights_that_ship() -> None:
     search = "path_predictor (search)"
     for family, hard, opt, hmean in (
         ("paper", 400, 0.95, 0.83),
-        ("dungeon", 400, 0.92, 0.79),
+        ("dungeon", 400, 0.92, 0.78),
         ("cave", 200, 0.92, 0.81),
         ("forest", 200, 0.92, 0.8),
         ("noise", 200, 0.58, 0.64),

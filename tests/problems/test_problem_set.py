@@ -462,7 +462,7 @@ def test_problems_between_seed_points_are_those_that_an_online_dataset_serves_fi
 
 
 class Row(NamedTuple):
-    """A row of the table of docs/planners.md: a set of problems and how to make it again."""
+    """A row of the table of docs/planner_tables.md: a set of problems and how to make it again."""
 
     name: str
     flags: str
@@ -471,7 +471,7 @@ class Row(NamedTuple):
     digits: str
 
 
-PAGE = (DOCS / "planners.md").read_text(encoding="utf-8")
+PAGE = (DOCS / "planner_tables.md").read_text(encoding="utf-8")
 SECTION = PAGE.partition("\n## The sets\n")[2].partition("\n## ")[0]
 
 

@@ -1,0 +1,150 @@
+"""The tables of planners are made from a file of results, to which one command adds a planner."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pandas as pd
+import pytest
+from helpers.pages import DOCS
+
+from mapdata import MapGenerator, Movement, ProblemSet, evaluate
+from mapdata.evaluation import classical
+
+OWN_PLANNER = """
+from mapdata import Plan
+from mapdata.evaluation import Search
+
+
+class Planner(Search):
+    def __init__(self, movement):
+        super().__init__("my planner", movement, "bfs")
+
+
+class Twice:
+    name = "my planner"
+
+    def plan(self, grid, start, goal):
+        plan = Search("BFS", MOVEMENT, "bfs").plan(grid, start, goal)
+        return Plan(plan.path, 2 * plan.expansions)
+
+
+from mapdata import Movement
+
+MOVEMENT = Movement(8)
+planner = Twice()
+"""
+
+
+@pytest.fixture
+def tables(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> ModuleType:
+    """Return planner_tables.py with one set of five problems, in a folder with a page to fill."""
+    monkeypatch.syspath_prepend(str(DOCS))
+    import planner_tables
+
+    monkeypatch.setattr(planner_tables, "SETS", {"maze-hard-5": ("maze", "")})
+    monkeypatch.setitem(planner_tables.GENERATORS, "maze", (MapGenerator.preset("maze"), 5))
+    monkeypatch.setattr(planner_tables, "all_planners", classical)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my_module.py").write_text(OWN_PLANNER)
+    (tmp_path / "planners.md").write_text("a\n<!-- table hall -->\nold\n<!-- end -->\nb\n")
+    return planner_tables
+
+
+def rows_of(folder: Path) -> pd.DataFrame:
+    """Return the rows in a folder's file of results, by the names of the planners."""
+    document = json.loads((folder / "planner_results.json").read_text())
+    return pd.DataFrame(document["rows"]).set_index("planner")
+
+
+def test_one_command_adds_a_planner_to_the_results_and_to_the_page(
+    tables: ModuleType, tmp_path: Path
+) -> None:
+    """Its row is that of `evaluate`, beside those of the other planners; measured once more, it
+    takes the place of the older row.
+    """
+    command = ["--folder", str(tmp_path), "--set", "maze-hard-5"]
+    tables.main(command)
+    others = rows_of(tmp_path)
+    assert list(others.index) == [planner.name for planner in classical(Movement(8))]
+    for name, factor in (("Planner", 1), ("planner", 2)):
+        tables.main([*command, "--add", f"my_module:{name}"])
+        rows = rows_of(tmp_path)
+        assert list(rows.index) == [*others.index, "my planner"]
+        expected = factor * rows.expansion_ratio["BFS"]
+        assert rows.expansion_ratio["my planner"] == pytest.approx(expected, abs=1e-5)
+        assert rows.opt["my planner"] == rows.opt["BFS"]
+    page = (tmp_path / "planner_tables.md").read_text()
+    assert f"| my planner | {rows.ms['my planner']:.3f} |" in page
+
+    problems = ProblemSet.sample("maze", 77, until_hard=5, movement=Movement(8))
+    table = evaluate(classical(Movement(8)), problems)
+    table = table[table.subset == "hard"].set_index("planner")
+    for column in ("opt", "hmean", "hmean_low", "hmean_high", "look_ratio", "prepared_ratio"):
+        np.testing.assert_allclose(others[column], table[column], atol=1e-6)
+    document = json.loads((tmp_path / "planner_results.json").read_text())
+    assert document["sets"]["maze-hard-5"]["hash"] == problems.content_hash
+    commands = [run["command"] for run in document["runs"]]
+    assert commands == [
+        "python docs/planner_tables.py --set maze-hard-5",
+        "python docs/planner_tables.py --set maze-hard-5 --add my_module:planner",
+    ]
+    assert {row["run"] for row in document["rows"]} == {0, 1}
+
+
+def test_rows_of_other_problems_are_dropped(tables: ModuleType, tmp_path: Path) -> None:
+    """A set of the same name with another hash has none of the rows of the older set."""
+    from planner_results import Results, this_run
+
+    results = Results()
+    for seed in (1, 2):
+        problems = ProblemSet.sample("maze", seed, 3, movement=Movement(8))
+        results.add_set("set", problems)
+        planners = classical(Movement(8))[:seed]
+        results.add_rows("set", evaluate(planners, problems), this_run("a command"))
+    assert list(results.rows_of("set")) == ["BFS", "Dijkstra"]
+    results.write(tmp_path / "results.json")
+    assert Results.read(tmp_path / "results.json") == results
+
+
+def test_the_pages_are_made_from_the_file_of_results(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Writing them again changes nothing."""
+    monkeypatch.syspath_prepend(str(DOCS))
+    import planner_tables
+
+    names = ("planner_results.json", "planner_tables.md", "planners.md")
+    for name in names:
+        shutil.copy(DOCS / name, tmp_path / name)
+    planner_tables.main(["--pages", "--folder", str(tmp_path)])
+    for name in names:
+        assert (tmp_path / name).read_text() == (DOCS / name).read_text(), name
+
+
+def test_windows_of_maps_give_hard_problems(tables: ModuleType, tmp_path: Path) -> None:
+    """The maps of a folder are measured on hard problems, whose grids are windows of the map."""
+    import zero_shot
+
+    rng = np.random.default_rng(0)
+    grid = (rng.random((20, 30)) < 0.3).astype(np.uint8)
+    lines = ["type octile", "height 20", "width 30", "map"]
+    lines += ["".join(".@"[cell] for cell in row) for row in grid]
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "hall.map").write_text("\n".join(lines) + "\n")
+    arguments = ["maps", "--size", "16", "--hard", "4", "--corner-cutting", "--add"]
+    zero_shot.main([*arguments, "my_module:Planner", "--folder", str(tmp_path)])
+    row = rows_of(tmp_path).loc["my planner"]
+    assert (row["set"], row.n, row.success) == ("hall-16-cut-windows", 4, 1)
+
+    movement = Movement(8, corner_cutting=True)
+    problems = zero_shot.hard_problems("hall", grid, movement, 16, 4)
+    assert problems is not None
+    assert problems.hard.all()
+    windows = np.lib.stride_tricks.sliding_window_view(grid, (16, 16)).reshape(-1, 16, 16)
+    for window in problems.grids:
+        assert (windows == window).all(axis=(1, 2)).any()
