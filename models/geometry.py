@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import torch
 import torch.nn.functional as F  # noqa: N812  (its usual name)
@@ -66,6 +68,19 @@ def legal_moves(occupied: Tensor, movement: Movement) -> Tensor:
             is_legal = is_legal & free.roll(-down, 1) & free.roll(-right, 2)
         legal.append(is_legal[:, 1:-1, 1:-1])
     return torch.stack(legal, dim=1)
+
+
+def min_and_mean_costs(terrain: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the smallest and the mean cost of the free cells of each map, (B, 1, 1) both, float.
+
+    Args:
+        terrain: (B, 1, H, W), the cost of each cell, 0 on occupied cells; some cell is free.
+    """
+    costs = terrain[:, 0].float()  # (B, H, W)
+    is_free = costs > 0
+    min_costs = torch.where(is_free, costs, math.inf).amin(dim=(1, 2), keepdim=True)
+    free_counts = is_free.sum(dim=(1, 2), keepdim=True)  # (B, 1, 1)
+    return min_costs, costs.sum(dim=(1, 2), keepdim=True) / free_counts
 
 
 def cell_numbers(points: Tensor, occupied: Tensor) -> Tensor:
