@@ -15,9 +15,8 @@ from mapdata.arrays import Bytes, Flags, Float32s, Int8s, Ints
 from mapdata.evaluation import Batched, BatchPlanner, Plan, Planner
 from mapdata.jit import Int, kernel
 from mapdata.search import STEPS, search_batch
-from mapdata.search.api import as_terrain
 
-from .geometry import check_problems
+from .geometry import check_problems, check_terrain
 from .model import Model
 
 MIN_COST = 10.0
@@ -160,7 +159,7 @@ class GuidedSearch(Batched):
         """
         grids, starts, goals = check_problems(grids, starts, goals)
         if terrain is not None and self.model.takes_terrain:
-            terrain = as_terrain(np.reshape(terrain, (-1, *np.shape(terrain)[-2:])), grids)
+            terrain = check_terrain(terrain, grids)
             scores, costs_to_go = self.model.predict(grids, goals, terrain)
         else:
             terrain = (grids == 0).astype(np.uint8)

@@ -267,7 +267,7 @@ class PathPredictor(LearnedPlanner):
             )
         rows, columns = occupied.shape[2:]
         planes, detours = encode(padded(occupied), goals, self.movement)
-        initial_log_ratio: Tensor | float = 0.0
+        initial_log_ratio: Tensor | None = None
         if self.takes_terrain:
             terrain = occupied == 0 if terrain is None else terrain
             cost_planes, initial_log_ratio = encode_terrain(padded(terrain, value=0))
@@ -276,7 +276,10 @@ class PathPredictor(LearnedPlanner):
         output = output[..., :rows, :columns].float()
         # Before training the most probable moves are those that lead straight to the goal.
         scores = output[:, :-1] - PRIOR * detours[..., :rows, :columns]
-        return scores, torch.sigmoid(output[:, -1] + initial_log_ratio)
+        ratio_logits = output[:, -1]
+        if initial_log_ratio is not None:
+            ratio_logits = ratio_logits + initial_log_ratio
+        return scores, torch.sigmoid(ratio_logits)
 
     def losses(self, batch: Sample | list[Sample]) -> Tensors:
         """Return ``loss``, its part ``moves``, and ``accuracy``.

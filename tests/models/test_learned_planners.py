@@ -151,7 +151,7 @@ def test_the_search_on_terrain_is_the_slow_one(movement: Movement, trust: float)
         assert plan.expansions == expansions
 
 
-def all_plans(planner: GuidedSearch, problems: ProblemSet, terrain: Bytes | None) -> list[Any]:
+def all_plans(planner: GuidedSearch, problems: ProblemSet, terrain: Any) -> list[Any]:
     """Return path and number of expansions of each problem, on some terrain."""
     plans = planner.plan_batch(problems.grids, problems.starts, problems.goals, terrain)
     return [(plan.path.tolist(), plan.expansions) for plan in plans]
@@ -186,6 +186,10 @@ def test_terrain_that_does_not_fit_the_grids_is_refused() -> None:
         all_plans(planner, problems, np.maximum(problems.terrain, 1))
     with pytest.raises(ValueError, match="terrain: got shape"):
         all_plans(planner, problems, problems.terrain[:, 1:])
+    with pytest.raises(ValueError, match="terrain: got numbers from 0 to 256, expected"):
+        all_plans(planner, problems, np.where(problems.terrain > 0, 256, 0))
+    with pytest.raises(ValueError, match="terrain: got dtype float64, expected integers"):
+        all_plans(planner, problems, problems.terrain / 2)
 
 
 @pytest.mark.parametrize("cut", [(1, 8, 12, 14), (5, 4, 12, 14), (5, 8, 11, 14), (5, 8, 12, 1)])

@@ -456,9 +456,8 @@ def test_predicted_costs_to_go_on_terrain() -> None:
     model = random_model(terrain=True)
     assert model.network.head.bias is not None
     torch.nn.init.constant_(model.network.head.bias, -3.0)  # some ratios are below the least one
-    costs = model.predict(batch.map[:, 0].numpy(), batch.goal.numpy(), batch.terrain[:, 0].numpy())[
-        1
-    ]
+    terrain = batch.terrain[:, 0].numpy()
+    _, costs = model.predict(batch.map[:, 0].numpy(), batch.goal.numpy(), terrain)
     last_cell = torch.tensor([19, 26])
     with model.inference():
         ratios = model(batch.map, batch.goal, batch.terrain)[1]
@@ -540,10 +539,10 @@ def test_a_network_on_terrain_learns_and_is_saved(tmp_path: Path) -> None:
         None, build=HILLS, fields=("map", "terrain", "start", "goal", "path"), **arguments
     )
     model = small_model(Movement(8), terrain=True)
-    initial_bias = model.network.head.bias.clone()
+    initial_weight = model.network.head.weight.clone()
     run = trainer(tmp_path, max_steps=2, limit_val_batches=1, enable_checkpointing=False)
     run.fit(model, data)
-    assert not torch.equal(initial_bias, model.network.head.bias)
+    assert not torch.equal(initial_weight, model.network.head.weight)
     (logged,) = run.validate(model, data, verbose=False)
     batch = next(iter(data.val_dataloader()))
     ends = batch.start.numpy(), batch.goal.numpy()
