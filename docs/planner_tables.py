@@ -437,15 +437,15 @@ def summary(results: Results, names: Iterable[str]) -> str:
     rows = [
         [
             "set",
-            "goal field: ms",
-            "jump points: looks",
-            "expansions",
-            "Hmean",
-            "network: ms",
-            "expansions",
-            "Opt",
-            "Hmean",
-            "weighted A*: Hmean",
+            "goal field ms",
+            "JPS looks",
+            "JPS expansions",
+            "JPS Hmean",
+            "network ms",
+            "network expansions",
+            "network Opt",
+            "network Hmean",
+            "weighted A* Hmean",
         ]
     ]
     for name in names:
@@ -604,7 +604,7 @@ def write_pages(results: Results, folder: Path) -> None:
     """Write planner_tables.md, and the tables of planners.md, of a folder."""
     (folder / "planner_tables.md").write_text(page_of_sets(results), encoding="utf-8")
     page = folder / "planners.md"
-    windows = [name for name in results.sets if name.endswith("-windows")]
+    windows = [name for name in results.sets if re.search(r"(?<!-cut)-windows$", name)]
     tables = {
         "summary": summary(results, [name for name in FIRST_SETS if name in results.sets]),
         "zero-shot": summary(results, windows),
