@@ -1,8 +1,9 @@
 """Draws the pictures of README and the pages: python docs/figures.py [NAME ...].
 
 Each is drawn twice, `docs/images/NAME.png` for light pages and `docs/images/NAME-dark.png` for
-dark ones. Without names all are drawn, in some minutes of one core. `pip install -e ".[examples]"`
-comes first, and a Chromium for the picture of the report.
+dark ones; wide ones again with fewer columns, `NAME-phone.png`. Without names all are drawn, in
+some minutes of one core. `pip install -e ".[examples]"` comes first, and a Chromium for the picture
+of the report.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from PIL import Image
 
 ROOT = Path(__file__).parents[1]
@@ -33,10 +35,12 @@ sys.path.insert(0, str(ROOT))  # mapdata, scripts
 from mapdata import (  # noqa: E402
     Labels,
     MapGenerator,
+    Maps,
     MapSpec,
     Maze,
     Movement,
     OnlineMapDataset,
+    ProblemSetDataset,
     Random,
     Tiles,
     astar,
@@ -49,12 +53,13 @@ from mapdata.describe import dataset_statistics  # noqa: E402
 from mapdata.evaluation import Plan  # noqa: E402
 from mapdata.formats import Collection, ForeignMap, import_maps  # noqa: E402
 from mapdata.generators import PRESETS  # noqa: E402
+from mapdata.models import CostPredictor  # noqa: E402
 from mapdata.plotting import (  # noqa: E402
     COLOURS,
     MARKERS,
-    PALETTE,
     STYLE,
     plot_distributions,
+    plot_ends,
     plot_gallery,
     plot_grid,
     plot_map,
@@ -67,6 +72,8 @@ from mapdata.plotting import (  # noqa: E402
 )
 from mapdata.problems import ProblemSet  # noqa: E402
 from mapdata.shards import Root  # noqa: E402
+
+Floats = npt.NDArray[np.float64]
 
 IMAGES = ROOT / "docs" / "images"
 LARGEST = 150_000
@@ -107,62 +114,85 @@ def bare(axes: Axes, title: str = "") -> None:
         legend.remove()
 
 
-def mosaic(grids: list[npt.NDArray[np.uint8]], columns: int) -> npt.NDArray[np.float64]:
-    """Return maps of one size side by side as one picture, each in a grey frame."""
-    rows, wide = grids[0].shape
-    gap = max(rows // 16, 2)
-    lines = -(-len(grids) // columns)
-    shape = (lines * (rows + gap) + gap, columns * (wide + gap) + gap)
-    found = np.full(shape, 0.55)
-    for k, grid in enumerate(grids):
-        row = gap + k // columns * (rows + gap)
-        column = gap + k % columns * (wide + gap)
-        found[row : row + rows, column : column + wide] = grid
-    return found
+def colours_of(maps: Maps, i: int) -> Floats:
+    """Return map ``i`` as a picture (H, W, 3) in the colours of `plot_grid`."""
+    free = 1.0 - 0.8 * maps.occupancy[i][..., None]
+    if maps.terrain is None:
+        return np.repeat(free, 3, axis=2)
+    terrain = maps.terrain[i]
+    shades = mpl.colormaps["YlOrBr"](terrain / terrain.max())[..., :3]
+    return np.asarray(np.where(terrain[..., None] > 0, 0.4 + 0.6 * shades, free))
 
 
-def overview() -> Figure:
+def picture(name: str, index: int) -> Floats:
+    """Return a map of a preset, with seed 0."""
+    return colours_of(generate(PRESETS[name], 0, [index]), 0)
+
+
+def mosaic(pictures: list[Floats], columns: int) -> Floats:
+    """Return pictures side by side as one, in cells of one size and each in a grey frame."""
+    side = max(64, *(max(small.shape[:2]) for small in pictures))
+    gap = max(side // 16, 2)
+    lines = -(-len(pictures) // columns)
+    size = (lines * (side + gap) + gap, columns * (side + gap) + gap, 3)
+    whole = np.full(size, 0.55)
+    for k, small in enumerate(pictures):
+        scale = side // max(small.shape[:2])
+        large = small.repeat(scale, axis=0).repeat(scale, axis=1)
+        rows, wide = large.shape[:2]
+        row = gap + k // columns * (side + gap) + (side - rows) // 2
+        column = gap + k % columns * (side + gap) + (side - wide) // 2
+        whole[row : row + rows, column : column + wide] = large
+    return whole
+
+
+def overview(columns: int = 4) -> Figure:
     """Maps; the labels of one; a target to learn; what a network learnt."""
-    figure, axes = new_figure(1, 4, (13, 3.5))
-    narrow = MapSpec.preset("narrow")
+    rows = 4 // columns
+    figure, axes = new_figure(rows, columns, (2.4 * columns, 2.75 * rows))
     wide_maze = Maze((64, 64), corridor=3, reopened=0.1)
-    chosen: list[tuple[MapGenerator, int]] = [(MapSpec(), 7), (narrow, 4), (DUNGEON, 3)]
-    chosen += [(DUNGEON, 9), (Maze((64, 64)), 1), (wide_maze, 3)]
-    chosen += [(MapGenerator.preset(name), 1) for name in ("cave", "forest", "noise")]
-    grids = [generate(generator, 0, [index]).occupancy[0] for generator, index in chosen]
-    plot_grid(mosaic(grids, 3), axes[0])
-    bare(axes[0], "grid maps from a few lines of JSON")
+    chosen: list[tuple[MapGenerator, int]] = [
+        (PRESETS["paper"], 7),
+        (PRESETS["narrow"], 28),
+        (DUNGEON, 3),
+        (Maze((64, 64)), 1),
+        (wide_maze, 3),
+        (PRESETS["cave"], 1),
+        (PRESETS["forest"], 1),
+        (PRESETS["noise"], 1),
+        (PRESETS["terrain"], 4),
+    ]
+    pictures = [colours_of(generate(generator, 0, [index]), 0) for generator, index in chosen]
+    axes[0].imshow(mosaic(pictures, 3), interpolation="nearest")
+    bare(axes[0], "maps")
 
-    plot_map(label(generate(MapSpec(), 0, [7])), 0, axes[1])
-    bare(axes[1], "routes through the rooms: BFS, A*")
+    plot_map(one_map(), 0, axes[1])
+    bare(axes[1], "routes: BFS orange, A* blue")
 
     problem = hard_problems(("map", "start", "goal", "path", "cost_to_go"))[PICKED]
-    cost_to_go(axes[2], problem)
-    bare(axes[2], "cost to go, and a shortest path")
+    plot_grid(problem.map[0], axes[2])
+    shade(axes[2], np.asarray(problem.cost_to_go[0]), problem.map[0])
+    shortest_path(axes[2], problem)
+    bare(axes[2], "costs to go, a shortest path")
 
     prediction(axes[3], problem)
-    bare(axes[3], "a path that a network predicts")
+    bare(axes[3], "a predicted path (purple)")
     return figure
 
 
-def hard_problems(fields: tuple[str, ...]) -> list[Any]:
+def shortest_path(axes: Axes, sample: Any) -> None:
+    """Draw the path of a problem between its ends."""
+    rows, columns = np.asarray(sample.path[sample.path[:, 0] >= 0]).T
+    axes.plot(columns, rows, color=COLOURS["astar"], linewidth=2.2)
+    plot_ends(sample.start, sample.goal, axes)
+
+
+def hard_problems(fields: tuple[Any, ...]) -> list[Any]:
     """Return problems on maps that no training saw."""
     dataset = OnlineMapDataset(
         DUNGEON, 77, length=12, fields=fields, problems=HARD, movement=DIAGONAL
     )
     return [dataset[k] for k in range(len(dataset))]
-
-
-def cost_to_go(axes: Axes, sample: Any) -> None:
-    """Shade each cell by the cost of its shortest path to the goal."""
-    plot_grid(sample.map[0], axes)
-    costs = np.asarray(sample.cost_to_go[0])
-    axes.imshow(np.ma.masked_less(costs, 0), cmap="viridis_r", interpolation="nearest")
-    path = np.asarray(sample.path)
-    path = path[path[:, 0] >= 0]
-    axes.plot(path[:, 1], path[:, 0], color="white", linewidth=2)
-    axes.plot(path[0, 1], path[0, 0], "o", color="white", markeredgecolor="black", markersize=8)
-    axes.plot(path[-1, 1], path[-1, 0], "s", color="white", markeredgecolor="black", markersize=8)
 
 
 def prediction(axes: Axes, sample: Any) -> None:
@@ -175,6 +205,14 @@ def prediction(axes: Axes, sample: Any) -> None:
     with model.inference():
         shades = model(*model.tensors(grid[None].astype(np.uint8), goal[None]))[1][0].numpy()
     plot_prediction(grid[0], model.predict_path(grid, start, goal), truth, axes, scores=shades)
+
+
+def shade(axes: Axes, numbers: npt.NDArray[Any], grid: Any) -> AxesImage:
+    """Shade the free cells with a positive number, in the colours that `plot_sample` uses."""
+    is_hidden = (np.asarray(grid) == 1) | ~(numbers > 0)
+    return axes.imshow(
+        np.ma.masked_where(is_hidden, numbers), "YlOrBr", alpha=0.6, vmin=0, interpolation="nearest"
+    )
 
 
 def run_first_block(page: str) -> dict[str, Any]:
@@ -200,17 +238,16 @@ def batch() -> Figure:
 
 
 def clearance() -> Figure:
-    """Show the label of one's own that docs/howto/labels.md computes."""
-    field = run_first_block("docs/howto/labels.md")["room"]
+    """Show the label that docs/howto/labels.md computes."""
+    field = run_first_block("docs/howto/labels.md")["steps_to_wall"]
     dataset = OnlineMapDataset(DUNGEON, 0, length=20, fields=("map", field), problems=Random())
-    figure, axes = new_figure(1, 3, (10.2, 3.6))
+    figure, axes = new_figure(1, 3, (8, 2.8))
     for ax, k in zip(axes, (3, 9, 12), strict=True):
         sample: Any = dataset[k]
         plot_grid(sample.map[0], ax)
-        values = np.asarray(sample.room[0])
-        image = ax.imshow(np.ma.masked_equal(values, 0), cmap="viridis", interpolation="nearest")
+        image = shade(ax, np.asarray(sample.steps_to_wall[0]), sample.map[0])
         bare(ax)
-    figure.colorbar(image, ax=axes, label="clearance, cells", shrink=0.8)
+    figure.colorbar(image, ax=axes, label="steps to a wall", shrink=0.8)
     return figure
 
 
@@ -218,7 +255,7 @@ def imported() -> Figure:
     """Show the floor plans that docs/howto/maps.md imports."""
     plans = run_first_block("docs/howto/maps.md")["plans"]
     source = Collection([ForeignMap(f"plan {k}", plan) for k, plan in enumerate(plans)])
-    figure, axes = new_figure(1, 3, (10.2, 3.8))
+    figure, axes = new_figure(1, 3, (8, 3))
     with TemporaryDirectory() as folder:
         import_maps(folder, source, seed_points=6)
         root = Root.open(folder)
@@ -231,7 +268,7 @@ def imported() -> Figure:
 
 def generators() -> Figure:
     """Show the maps that docs/howto/spec.md draws."""
-    figure, axes = new_figure(1, 2, (11.5, 4))
+    figure, axes = new_figure(1, 2, (8, 2.8))
     plot_map(run_first_block("docs/howto/spec.md")["labels"], 0, axes[0])
     bare(axes[0], "MapSpec(map_size=(48, 96), ...)")
     maze = Maze((45, 69), corridor=2, reopened=0.1)
@@ -253,11 +290,12 @@ def speed() -> Figure:
             paths[peer] = float(factor)
         if work.endswith("map, start, goal, path_mask") and not peer.startswith("memset"):
             loading.setdefault(peer, float(factor))  # of 10,000 maps, the first rows
-    figure, axes = new_figure(1, 2, (10.2, 3.6))
+    figure, axes = new_figure(1, 2, (8.6, 3.4))
     titles = ("time of a path by A*, 64 x 64, log scale", "time of a sample, log scale")
     for ax, title, factors in zip(axes, titles, (paths, loading), strict=True):
         names = sorted(factors, key=lambda name: factors[name])
-        colours = [COLOURS["bfs" if name == "mapdata" else "astar"] for name in names]
+        ink = mpl.rcParams["text.color"]
+        colours = [ink if name == "mapdata" else GREY for name in names]
         bars = ax.barh(names, [factors[name] for name in names], color=colours)
         ax.bar_label(bars, [f" {factors[name]:,.3g} x" for name in names], fontsize="small")
         ax.set(
@@ -270,27 +308,34 @@ def speed() -> Figure:
     return figure
 
 
-def families() -> Figure:
+SHOWN = {"paper": (9, 19), "narrow": (28, 20)}
+"""Numbers of the maps that show a preset well; of most presets any do."""
+
+
+def families(columns: int = 6) -> Figure:
     """Show two maps of each preset."""
-    figure, axes = new_figure(2, len(PRESETS) // 2, (11, 11.4))
-    for ax, (name, generator) in zip(axes, PRESETS.items(), strict=True):
-        plot_grid(mosaic(list(generate(generator, 0, range(2)).occupancy), 1), ax)
-        bare(ax, f"{name}, {generator.map_size[0]} x {generator.map_size[1]}")
+    rows = -(-len(PRESETS) // columns)
+    figure, axes = new_figure(rows, columns, (1.55 * columns, 3.3 * rows))
+    for ax, name in zip(axes, PRESETS, strict=True):
+        pair = [picture(name, index) for index in SHOWN.get(name, (0, 1))]
+        ax.imshow(mosaic(pair, 1), interpolation="nearest")
+        bare(ax, f"{name}\n{' x '.join(map(str, PRESETS[name].map_size))}")
     return figure
 
 
-def presets() -> Figure:
-    """Show one map of each preset in a row."""
-    figure, axes = new_figure(1, len(PRESETS), (13, 1.9))
-    for ax, (name, generator) in zip(axes, PRESETS.items(), strict=True):
-        plot_grid(generate(generator, 0, [1]).occupancy[0], ax)
+def presets(columns: int = 6) -> Figure:
+    """Show one map of each preset."""
+    rows = -(-len(PRESETS) // columns)
+    figure, axes = new_figure(rows, columns, (1.55 * columns, 1.75 * rows))
+    for ax, name in zip(axes, PRESETS, strict=True):
+        ax.imshow(picture(name, SHOWN.get(name, (1,))[0]), interpolation="nearest")
         bare(ax, name)
     return figure
 
 
 def movements() -> Figure:
     """Show the shortest path under each rule of moves."""
-    figure, axes = new_figure(1, 3, (9.5, 3))
+    figure, axes = new_figure(1, 3, (8.4, 2.7))
     grid = np.zeros((9, 11), np.uint8)
     grid[2:7, 3] = 1
     grid[4, 3:8] = 1
@@ -303,7 +348,7 @@ def movements() -> Figure:
     for ax, (name, movement) in zip(axes, rules.items(), strict=True):
         found = astar(grid, (6, 1), (2, 9), movement)
         plot_prediction(grid, np.empty((0, 2)), found.path, ax)
-        bare(ax, f"{name}: cost {found.cost:.4g}")
+        bare(ax, f"{name}\ncost {found.cost:.4g}")
         ax.set_xticks(np.arange(11) - 0.5, minor=True)
         ax.set_yticks(np.arange(9) - 0.5, minor=True)
         ax.grid(which="minor", color="0.85")
@@ -327,14 +372,14 @@ def gallery() -> Figure:
     """Draw the paper's Figure 2: examples."""
     with TemporaryDirectory() as folder:
         build(folder, MapSpec(), maps=1000, seed=0)
-        figure, axes = new_figure(2, 4, (10.4, 6.2))
+        figure, axes = new_figure(2, 4, (8.4, 5.2))
         plot_gallery(dataset_statistics(folder), axes)
     return figure
 
 
 def figure_3() -> Figure:
     """Draw the paper's Figure 3: the route of each search and its iterations."""
-    figure, axes = new_figure(1, 2, (11, 6.6))
+    figure, axes = new_figure(1, 2, (9.6, 6))
     for search, ax in zip(("bfs", "astar"), axes, strict=True):
         plot_path(one_map(), 0, search, ax)
     return figure
@@ -356,25 +401,47 @@ def distributions() -> Figure:
     return figure
 
 
-def fields() -> Figure:
-    """Show the fields of one problem that are pictures."""
+def fields(columns: int = 3) -> Figure:
+    """Show fields that are pictures: of one problem, then of one on terrain."""
     names = ("path_mask", "optimal_mask", "cost_to_go", "heuristic_ratio", "path_probability")
-    sample = hard_problems(("map", "start", "goal", "path", *names, "optimal_moves"))[PICKED]
-    figure, axes = new_figure(2, 3, (10.2, 7.2))
-    free = np.asarray(sample.map[0]) == 0
+    ends = ("map", "start", "goal")
+    sample = hard_problems((*ends, "path", "waypoints", *names, "optimal_moves"))[PICKED]
+    rows = -(-9 // columns)
+    figure, axes = new_figure(rows, columns, (2.7 * columns, 2.9 * rows))
+    for unused in axes[9:]:
+        unused.remove()
+    grid = sample.map[0]
     for ax, name in zip(axes, names, strict=False):
-        plot_grid(sample.map[0], ax)
+        plot_grid(grid, ax)
         values = np.asarray(getattr(sample, name)[0], np.float64)
-        shown = np.where(free & (values > 0), values, np.nan)
-        cmap = ListedColormap([COLOURS["astar"]]) if name.endswith("mask") else "viridis"
-        ax.imshow(shown, cmap=cmap, interpolation="nearest")
+        if name.endswith("mask"):
+            blue = ListedColormap([COLOURS["astar"]])
+            ax.imshow(np.where(values > 0, values, np.nan), cmap=blue, interpolation="nearest")
+        else:
+            shade(ax, values, grid)
         bare(ax, name)
-    counts = np.zeros(free.shape)
-    for move in range(8):
-        counts += np.asarray(sample.optimal_moves[0]) >> move & 1
-    plot_grid(sample.map[0], axes[5])
-    axes[5].imshow(np.where(free & (counts > 0), counts, np.nan), cmap="viridis")
-    bare(axes[5], "optimal_moves: how many a cell")
+    moves = np.asarray(sample.optimal_moves[0])
+    plot_grid(grid, axes[5])
+    shade(axes[5], np.unpackbits(moves[..., None], axis=2).sum(axis=2), grid)
+    bare(axes[5], "optimal_moves (their number)")
+    plot_grid(grid, axes[6])
+    rows_of_points, columns_of_points = np.asarray(sample.waypoints).T - 0.5
+    axes[6].plot(columns_of_points, rows_of_points, ".-", color=COLOURS["seed"])
+    bare(axes[6], "waypoints")
+    for ax in axes[:7]:
+        plot_ends(sample.start, sample.goal, ax)
+
+    on_tiles = OnlineMapDataset(
+        "tiles", 3, length=40, fields=(*ends, "path", "terrain", Tiles(pixels=8)), problems="pairs"
+    )
+    # the path that leaves the diagonal most
+    tiles: Any = max((on_tiles[k] for k in range(40)), key=lambda one: len(one.path))
+    plot_grid(tiles.map[0], axes[7])
+    shade(axes[7], np.asarray(tiles.terrain[0]), tiles.map[0])
+    shortest_path(axes[7], tiles)
+    bare(axes[7], "terrain, and path on it")
+    axes[8].imshow(np.asarray(tiles.image).transpose(1, 2, 0))
+    bare(axes[8], "image of that terrain")
     return figure
 
 
@@ -406,23 +473,27 @@ def answers(family: str) -> tuple[tuple[Any, Plan], tuple[Any, Plan]]:
     return answered[0], max(answered, key=lambda answer: answer[1].expansions)
 
 
-def predictions() -> Figure:
+def predictions(columns: int = 6) -> Figure:
     """Show what the path predictor answers to hard problems of each family, failures included."""
-    families = ("paper", "dungeon", "maze", "cave", "forest", "noise")
-    figure, axes = new_figure(2, 6, (14, 5.8))
-    for k, family in enumerate(families):
-        for ax, (sample, plan) in zip((axes[k], axes[k + 6]), answers(family), strict=True):
-            plot_grid(sample.map[0], ax)
-            truth = np.asarray(sample.path[sample.path[:, 0] >= 0])
-            for path, colour, width in ((truth, "astar", 4), (plan.path, "bfs", 1.8)):
-                ax.plot(path[:, 1], path[:, 0], color=COLOURS[colour], linewidth=width)
-            ends = {"o": sample.start, "s": sample.goal}
-            for marker, (row, column) in ends.items():
-                ax.plot(column, row, marker, color="white", markeredgecolor="black", markersize=7)
-            best = astar(np.asarray(sample.map[0]), sample.start, sample.goal, DIAGONAL)
-            cost = check_path(sample.map[0], plan.path, DIAGONAL) / float(sample.cost)
-            expansions = plan.expansions / best.iterations
-            bare(ax, f"{family}: cost x {cost:.3f},\nexpansions x {expansions:.2f}")
+    names = ("paper", "dungeon", "maze", "cave", "forest", "noise")
+    figure, axes = new_figure(12 // columns, columns, (1.9 * columns, 2.5 * 12 // columns))
+    answered = [answers(name) for name in names]
+    if columns == len(names):  # a family is a column, else a row
+        panels = [
+            (name, pair[k]) for k in range(2) for name, pair in zip(names, answered, strict=True)
+        ]
+    else:
+        panels = [(name, one) for name, pair in zip(names, answered, strict=True) for one in pair]
+    for ax, (name, (sample, plan)) in zip(axes, panels, strict=True):
+        plot_grid(sample.map[0], ax)
+        truth = np.asarray(sample.path[sample.path[:, 0] >= 0])
+        for path, colour, width in ((truth, "astar", 4), (plan.path, "predicted", 1.8)):
+            ax.plot(path[:, 1], path[:, 0], color=COLOURS[colour], linewidth=width)
+        plot_ends(sample.start, sample.goal, ax)
+        best = astar(np.asarray(sample.map[0]), sample.start, sample.goal, DIAGONAL)
+        cost = check_path(sample.map[0], plan.path, DIAGONAL) / float(sample.cost)
+        expansions = plan.expansions / best.iterations
+        bare(ax, f"{name}: cost x {cost:.3f}\nexpansions x {expansions:.2f}")
     return figure
 
 
@@ -434,28 +505,32 @@ def planner_table() -> pd.DataFrame:
 
 
 def planners() -> Figure:
-    """Show what planners save and what that costs."""
-    figure, (ax,) = new_figure(1, 1, (7.5, 5.6))
+    """Show what planners save and what that costs; those that learn have another colour."""
+    from mapdata.models import PathPredictor
+    from mapdata.models import planners as learned
+
+    figure, (ax,) = new_figure(1, 1, (7.5, 5))
     plot_planners(planner_table(), ax)
-    legend = ax.get_legend()
-    assert legend is not None
-    for line in (*ax.lines, *legend.get_lines()):
-        if line.get_color() == "#000000":  # not seen on dark pages
-            line.set_color(mpl.rcParams["text.color"])
-    for bars in ax.collections:
-        if not np.asarray(bars.get_edgecolor())[0, :3].any():
-            bars.set_color(mpl.rcParams["text.color"])
+    names = {planner.name for planner in learned(PathPredictor.pretrained())}
+    bars = iter(ax.collections)  # two intervals for each mark
+    for line in ax.lines:
+        intervals = (next(bars), next(bars))
+        if line.get_label() in names:
+            line.set_color(COLOURS["predicted"])
+            for interval in intervals:
+                interval.set_color(COLOURS["predicted"])
     return figure
 
 
 SAMPLERS = {
     "halton": "Halton",
     "corners_alone": "obstacle corners",
-    "lego_cvae": "Halton and LEGO's autoencoder",
-    "shortest_path_heatmap": "Halton and heat map of shortest paths",
-    "lego_heatmap": "Halton and heat map of bottlenecks",
+    "lego_cvae": "Halton + LEGO's autoencoder",
+    "shortest_path_heatmap": "Halton + heat map of shortest paths",
+    "lego_heatmap": "Halton + heat map of bottlenecks",
     "lego_heatmap_alone": "heat map of bottlenecks",
 }
+"""Names in tables, and in the picture; the first two do not learn."""
 
 
 @cache
@@ -474,7 +549,8 @@ def samplers() -> Figure:
     """Show how many hard problems roadmaps of each size solve, with 95 % intervals."""
     table = sampler_table()
     table = table[table["subset"] == "hard"]
-    figure, (ax,) = new_figure(1, 1, (7.5, 5))
+    figure, (ax,) = new_figure(1, 1, (8.4, 5))
+    last = {}
     for k, (name, words) in enumerate(SAMPLERS.items()):
         part = table[table["sampler"] == name]
         success = part["success"].to_numpy()
@@ -482,14 +558,21 @@ def samplers() -> Figure:
         high = part["success_high"].to_numpy() - success
         # side by side, so that no interval covers another
         places = np.arange(len(part)) + 0.07 * (k - 2)
-        look: dict[str, Any] = {"color": PALETTE[k], "marker": MARKERS[k], "capsize": 3}
-        ax.errorbar(places, success, (low, high), linewidth=1.2, label=words, **look)
+        colour = GREY if k < 2 else COLOURS["predicted"]
+        look: dict[str, Any] = {"color": colour, "marker": MARKERS[k], "capsize": 3}
+        ax.errorbar(places, success, (low, high), linewidth=1.2, **look)
+        last[words] = (float(places[-1]), float(success[-1]), colour)
+    height = np.inf
+    for words, (x, y, colour) in sorted(last.items(), key=lambda entry: -entry[1][1]):
+        height = min(y, height - 0.045)
+        line = {"arrowstyle": "-", "color": colour, "linewidth": 0.7, "relpos": (0, 0.5)}
+        ax.annotate(words, (x, y), (2.32, height), va="center", fontsize="small", arrowprops=line)
     sizes = table["n"].unique()
     ax.set_xticks(np.arange(len(sizes)), [str(n) for n in sizes])
     count = table["problems"].iloc[0]
     ax.set(xlabel="vertices of the roadmap", ylabel=f"share solved of {count} hard problems")
+    ax.set_xlim(-0.25, 3.75)
     ax.grid(axis="y", alpha=0.3)
-    ax.legend(frameon=False, fontsize="small", loc="lower right")
     return figure
 
 
@@ -505,7 +588,7 @@ def roadmaps() -> Figure:
     grid = problems.grids[k]
     start = problems.starts[k]
     goal = problems.goals[k]
-    figure = Figure(figsize=(10, 5.2), layout="constrained")
+    figure = Figure(figsize=(8.4, 4.5), layout="constrained")
     for ax, name in zip(figure.subplots(1, 2), ("halton", "lego_heatmap"), strict=True):
         samples = rows[name](grid[None], start[None], goal[None], 50, [k])[0]
         roadmap = roadmap_between(grid, start, goal, samples)
@@ -513,9 +596,9 @@ def roadmaps() -> Figure:
         # a cell's centre is its coordinate + 0.5, but pictures have it at the coordinate
         points = roadmap.points - 0.5
         plot_roadmap(grid, points, roadmap.edges, ax, path=points[path])
-        ax.plot(points[:2, 1], points[:2, 0], "*", color="#009E73", markersize=12, zorder=4)
+        plot_ends(points[0], points[1], ax)
         found = f"{length:.1f} cells" if len(path) else "no path"
-        ax.set(title=f"{name}, {found}", xlabel="", ylabel="", xticks=[], yticks=[])
+        ax.set(title=f"{SAMPLERS[name]}: {found}", xlabel="", ylabel="", xticks=[], yticks=[])
         ax.get_legend().remove()
     return figure
 
@@ -526,8 +609,9 @@ def images() -> Figure:
     alike = OnlineMapDataset("tiles", 0, length=20, fields=(Tiles(alike=True),))
     sample: Any = dataset[PICKED]
     alike_sample: Any = alike[PICKED]
-    figure, axes = new_figure(1, 3, (10.2, 3.7))
-    axes[0].imshow(sample.terrain[0], cmap="viridis", interpolation="nearest")
+    figure, axes = new_figure(1, 3, (8.4, 3.1))
+    plot_grid(sample.terrain[0] == 0, axes[0])
+    shade(axes[0], np.asarray(sample.terrain[0]), sample.terrain[0] == 0)
     bare(axes[0], "terrain")
     for ax, image, title in (
         (axes[1], sample.image, "image"),
@@ -538,7 +622,40 @@ def images() -> Figure:
     return figure
 
 
-FIGURES: dict[str, Callable[[], Figure]] = {
+def costs() -> Figure:
+    """Show an image, the costs that a model reads from it, the true costs, and both paths."""
+    movement = Movement(8, corner_cutting=True, diagonal_cost=1)
+    problems = ProblemSet.sample("tiles", seed=77, maps=20, movement=movement, problems="route")
+    fields = ("map", Tiles(alike=True, noise=8))
+    batch: Any = ProblemSetDataset(problems, fields=fields)[:]
+    predicted = CostPredictor.pretrained().predict(batch.image, problems.grids)
+    assert problems.terrain is not None
+    problem = problems.grids[PICKED], problems.starts[PICKED], problems.goals[PICKED], movement
+    figure, axes = new_figure(1, 3, (10.2, 3.7))
+    side = batch.image.shape[-1] / problems.grids.shape[-1]
+    axes[0].imshow(batch.image[PICKED].permute(1, 2, 0), interpolation="nearest")
+    bare(axes[0], "image")
+    for ax, terrain, title in (
+        (axes[1], predicted[PICKED], "predicted costs"),
+        (axes[2], problems.terrain[PICKED], "true costs"),
+    ):
+        ax.imshow(terrain, cmap="viridis", interpolation="nearest")
+        bare(ax, title)
+    planned = astar(*problem, terrain=predicted[PICKED]).path
+    shortest = astar(*problem, terrain=problems.terrain[PICKED]).path
+    for ax, scale in ((axes[0], side), (axes[1], 1), (axes[2], 1)):
+        for path, colour, width in (
+            (shortest, COLOURS["astar"], 4.5),
+            (planned, COLOURS["predicted"], 2.0),
+        ):
+            rows, columns = (scale * (path + 0.5) - 0.5).T
+            ax.plot(columns, rows, color=colour, linewidth=width)
+        start, goal = (scale * (end + 0.5) - 0.5 for end in (shortest[0], shortest[-1]))
+        plot_ends(start, goal, ax)
+    return figure
+
+
+FIGURES: dict[str, Callable[..., Figure]] = {
     "overview": overview,
     "batch": batch,
     "speed": speed,
@@ -559,8 +676,13 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "samplers": samplers,
     "roadmaps": roadmaps,
     "images": images,
+    "costs": costs,
 }
 NAMES = [*FIGURES, "report"]
+FOR_PHONES = {"overview": 2, "families": 3, "presets": 4, "predictions": 2, "fields": 2}
+"""Pictures that phones get with fewer columns, as `NAME-phone.png`."""
+
+VARIANTS = {name: ("", "-phone") if name in FOR_PHONES else ("",) for name in NAMES}
 
 
 def photograph_report(targets: dict[str, Path]) -> None:
@@ -580,15 +702,19 @@ def photograph_report(targets: dict[str, Path]) -> None:
 
 
 def save(name: str, folder: Path = IMAGES) -> None:
-    """Draw a picture in both themes, with at most 256 colours so that it is small."""
-    targets = {ending: folder / f"{name}{ending}.png" for ending in THEMES}
+    """Draw a picture in both themes, and for phones; 256 colours at most keep it small."""
+    targets = []
     if name == "report":
-        photograph_report(targets)
+        targets = [folder / f"report{theme}.png" for theme in THEMES]
+        photograph_report(dict(zip(THEMES, targets, strict=True)))
     else:
-        for ending, theme in THEMES.items():
-            with mpl.rc_context({**STYLE, **theme}):
-                FIGURES[name]().savefig(targets[ending], dpi=110)
-    for target in targets.values():
+        for theme, look in THEMES.items():
+            for variant in VARIANTS[name]:
+                columns = {"columns": FOR_PHONES[name]} if variant else {}
+                targets.append(folder / f"{name}{variant}{theme}.png")
+                with mpl.rc_context({**STYLE, **look}):
+                    FIGURES[name](**columns).savefig(targets[-1], dpi=110)
+    for target in targets:
         with Image.open(target) as image:
             small = image.quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
         small.save(target, optimize=True)

@@ -3,7 +3,7 @@
 Each row of the table trains a `mapdata.models.CostPredictor` on images and shortest paths and
 scores it on 1,000 new maps of seed 77. FILE collects the rows as JSON and grows: a row that it
 already has is not measured again, so that the command can be stopped and run again. At the end the
-table is printed as Markdown, as docs/planners.md shows it. All rows take one core about an hour.
+table is written into docs/costs.md. All rows take one core about an hour.
 """
 
 from __future__ import annotations
@@ -37,6 +37,10 @@ from mapdata.evaluation import score_paths
 from mapdata.models import CostPredictor
 from mapdata.models.cost_predictor import TRAINING_FIELDS
 from mapdata.search import BatchResult
+
+PAGE = Path(__file__).parent / "costs.md"
+BEGIN, END = "<!-- table -->", "<!-- end -->"
+"""The marks around the table in the page."""
 
 TEST_SEED = 77
 TEST_MAPS = 1000
@@ -261,8 +265,15 @@ def table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def write_page(rows: list[dict[str, Any]], page: Path = PAGE) -> None:
+    """Write the table of the rows into the page, between its two marks."""
+    before, rest = page.read_text().split(BEGIN)
+    _, after = rest.split(END)
+    page.write_text(f"{before}{BEGIN}\n\n{table(rows)}\n\n{END}{after}")
+
+
 def main() -> None:
-    """Measure the rows that the file lacks, and print the table."""
+    """Measure the rows that the file lacks, and write the table into the page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", type=Path)
     parser.add_argument("--only", default="", help="measure the maps whose name holds this text")
@@ -281,7 +292,7 @@ def main() -> None:
         arguments.file.write_text(json.dumps(rows, indent=1) + "\n")
         shown = {k: v for k, v in rows[-1].items() if k not in ("generator", "movement", "set")}
         print(json.dumps(shown), flush=True)
-    print(table(rows))
+    write_page(rows)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ NAME is one of
     path_predictor          the planner of docs/planners.md
     refine_path_predictor   the last 1,000 steps of its training, for a network with --start_from
     lego_sampler            the sampler of docs/samplers.md
+    cost_predictor          the model of docs/costs.md, which reads costs from images
 
 All arguments are in configs/NAME.yaml beside this file, and all of them are flags, too:
 
@@ -37,6 +38,11 @@ Further flags after fit:
     --model NeuralAstar
         Train another model. Learning rate, moves and fields must be given, too, because those of
         the YAML file are for the path predictor; docs/planners.md has the command.
+
+Models of costs
+---------------
+The progress bar shows val_regret and val_opt: how much more than the shortest paths the paths cost
+that are planned on predicted costs, and the share of shortest ones among them.
 
 Samplers
 --------
@@ -95,6 +101,7 @@ from mapdata.interrupts import stoppable
 
 from . import neural_astar  # noqa: F401  (registers the class, so that --model finds it by its name)
 from .command_line import run_named_command
+from .cost_predictor import CostPredictor
 from .learned_planners import LearnedPlanner
 from .model import Model, fast_precision
 
@@ -234,10 +241,16 @@ def train_lego_sampler(arguments: ArgsType = None) -> None:
     TrainingCli(Sampler, ["lego_sampler.yaml"], arguments)  # type: ignore[type-abstract]
 
 
+def train_cost_predictor(arguments: ArgsType = None) -> None:
+    """Run the command line of models of costs; None takes the arguments of the process."""
+    TrainingCli(CostPredictor, ["cost_predictor.yaml"], arguments)
+
+
 COMMANDS = {
     "path_predictor": train_path_predictor,
     "refine_path_predictor": refine_path_predictor,
     "lego_sampler": train_lego_sampler,
+    "cost_predictor": train_cost_predictor,
 }
 """What each name trains."""
 

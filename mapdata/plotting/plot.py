@@ -11,7 +11,7 @@ matplotlib is imported when a figure is drawn, since its import is slow.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import cycle
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,8 +28,19 @@ if TYPE_CHECKING:
 
     from mapdata.search.labels import Labels
 
-# Okabe and Ito's colours, which colour-blind readers can tell apart.
-COLOURS = {"bfs": "#D55E00", "astar": "#0072B2", "seed": "#009E73"}
+COLOURS = {
+    "bfs": "#D55E00",
+    "astar": "#0072B2",
+    "predicted": "#CC79A7",
+    "seed": "#009E73",
+    "sample": "#56B4E9",
+}
+"""What each colour means in all figures: the path of a search, the path that a model predicts, seed
+points, start and goal, and the samples of a roadmap.
+
+They are Okabe and Ito's colours, which colour-blind readers can tell apart.
+"""
+
 NAMES = {"bfs": "BFS", "astar": "A*"}
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = "osD^v<>PXph"
@@ -37,16 +48,28 @@ MARKERS = "osD^v<>PXph"
 STYLE: dict[Any, str] = {
     "axes.edgecolor": "0.5",
     "axes.labelsize": "small",
+    "axes.prop_cycle": f"cycler('color', {list(PALETTE)})",
     "xtick.labelsize": "small",
     "ytick.labelsize": "small",
 }
 """The rcParams of figures that are created here."""
+
+_SEGMENT_COLOURS = {"bfs": ("#D55E00", "#E69F00"), "astar": ("#0072B2", "#56B4E9")}
+"""Alternating colours of the segments of a route: that of the search, and a lighter one."""
 
 _MAX_LEGEND_SEGMENTS = 16
 """Maximal number of segments in a legend."""
 
 _MAX_MATRIX_TEXTS = 16
 """Maximal number of rooms for which costs are written into the connection matrix."""
+
+_LABEL_DISTANCES = (8, 20, 34, 50, 70)
+"""Points between a mark and its label, in the order in which they are tried."""
+
+_LABEL_DIRECTIONS = ((1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1), (0, 1), (0, -1))
+"""Directions from a mark to its label, (right, up), in the order in which they are tried."""
+
+_LABEL_LINE = {"arrowstyle": "-", "color": "0.6", "linewidth": 0.7}
 
 _LANE_WIDTH = 1.6
 """Points between paths that are drawn side by side; in a figure of one map a cell has about 6."""
@@ -127,7 +150,8 @@ def plot_path(
 ) -> Axes:
     """Draw the route of one search on map ``i`` of a batch: the paper's Figure 3.
 
-    The legend names the moves and iterations of the first 16 segments.
+    Two shades of the search's colour alternate. The legend names the moves and iterations of the
+    first 16 segments.
 
     Args:
         labels: labelled maps.
@@ -143,7 +167,7 @@ def plot_path(
     axes = plot_grid_of_map(labels, i, axes, paper_colours)
     iterations = labels.iterations(search, i)
     route = labels.route(search, i)
-    colours = PALETTE[:-1]  # all but black
+    colours = _SEGMENT_COLOURS[search]
     styles = ("-", (0, (4, 1.5)), (0, (1, 1)))
     lanes = (-1, 0, 1)
     for segment, (path, count) in enumerate(zip(route, iterations, strict=True)):
@@ -227,7 +251,7 @@ def matrices_are_equal(labels: Labels, i: int) -> bool:
 def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str = "hard") -> Axes:
     """Draw the cost ratio of each planner against its expansion ratio; left and low is good.
 
-    Bars are 95 % intervals.
+    Bars are 95 % intervals. Each mark has the name of its planner beside it.
 
     Args:
         table: what `evaluate` returns.
@@ -235,24 +259,72 @@ def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str 
         subset: "hard" or "all".
     """
     check_choice("subset", subset, ("hard", "all"))
-    axes = axes or new_axes()[0]
+    axes = axes or new_axes(size=(7, 5))[0]
     rows = table[table["subset"] == subset]
-    for row, colour, marker in zip(rows.to_dict("records"), cycle(PALETTE), cycle(MARKERS)):
+    colour = COLOURS["astar"]
+    marks: dict[str, tuple[float, float]] = {}
+    for row in rows.to_dict("records"):
         x = row["expansion_ratio"]
         y = row["cost_ratio"]
+        marks[row["planner"]] = (x, y)
         axes.hlines(y, row["expansion_ratio_low"], row["expansion_ratio_high"], colour, linewidth=1)
         axes.vlines(x, row["cost_ratio_low"], row["cost_ratio_high"], colour, linewidth=1)
-        axes.plot(x, y, marker, color=colour, fillstyle="none", mew=2, ms=9, label=row["planner"])
+        axes.plot(x, y, "o", color=colour, fillstyle="none", mew=2, ms=8, label=row["planner"])
     axes.set_xscale("log", base=2)
     axes.xaxis.set_major_formatter("{x:g}")
+    axes.margins(0.12)
     axes.set(
-        xlabel="expansions / expansions of A* (mean)",
-        ylabel="cost / optimal cost (mean of the solved)",
+        xlabel="expansions / expansions of A* (mean); left is better",
+        ylabel="cost / optimal cost (mean of the solved); low is better",
         title=f"{subset} problems: {rows['n'].max()}",
     )
     axes.grid(alpha=0.3)
-    _put_legend_below(axes, ncols=3)
+    _name_marks(axes, marks)
     return axes
+
+
+def _name_marks(axes: Axes, marks: dict[str, tuple[float, float]]) -> None:
+    """Write the name of each mark beside it, where it covers no other name and no mark.
+
+    Where there is no room beside the mark, the name is farther away, at the end of a thin line.
+
+    Args:
+        axes: with the marks.
+        marks: (x, y) of each name, in the units of the axes.
+    """
+    from matplotlib.text import Text
+    from matplotlib.transforms import Bbox
+
+    figure: Any = axes.figure  # matplotlib's type hints also allow None here
+    figure.draw_without_rendering()  # makes the layout, on which the sizes of texts depend
+    points_to_pixels = figure.dpi / 72
+    radius = 6 * points_to_pixels
+    taken = [
+        Bbox.from_extents(x - radius, y - radius, x + radius, y + radius)
+        for x, y in axes.transData.transform(list(marks.values()))
+    ]
+    for name, point in marks.items():
+        for distance, (right, up) in product(_LABEL_DISTANCES, _LABEL_DIRECTIONS):
+            label = axes.annotate(
+                name,
+                point,
+                (distance * right, distance * up),
+                textcoords="offset points",
+                ha=("center", "left", "right")[right],
+                va=("center", "bottom", "top")[up],
+                fontsize="small",
+                arrowprops=None if distance == _LABEL_DISTANCES[0] else _LABEL_LINE,
+            )
+            label.get_window_extent()  # moves the text to its place; it includes the line
+            box = Text.get_window_extent(label)
+            is_inside = all(axes.bbox.contains(*corner) for corner in box.corners())
+            if is_inside and not box.count_overlaps(taken):
+                break
+            label.remove()
+        else:  # no room anywhere: the name may cover another one
+            label = axes.annotate(name, point, fontsize="small")
+            label.get_window_extent()
+        taken.append(Text.get_window_extent(label))
 
 
 def plot_cells(
@@ -302,6 +374,20 @@ def _plot_seed_points(axes: Axes, labels: Labels, i: int) -> None:
     seed_points = labels.maps.seed_points[i, : labels.maps.rooms[i]]
     for number, (row, column) in enumerate(seed_points, 1):
         mark(axes, str(number), row, column)
+
+
+def plot_ends(start: ArrayLike, goal: ArrayLike, axes: Axes) -> Axes:
+    """Mark the start with S on a disc and the goal with G on a square, as all figures do.
+
+    Args:
+        start: (2,), the cell (row, col).
+        goal: (2,), the cell (row, col).
+        axes: with a map, such as `plot_grid` returns.
+    """
+    for letter, cell in (("S", start), ("G", goal)):
+        row, column = np.asarray(cell, np.float64)
+        mark(axes, letter, row, column)
+    return axes
 
 
 def mark(axes: Axes, text: str, row: float, column: float) -> None:

@@ -18,6 +18,7 @@ from mapdata.plotting.plot import (
     mark,
     new_axes,
     plot_cells,
+    plot_ends,
     plot_grid,
     put_header,
     shade_cells,
@@ -25,6 +26,8 @@ from mapdata.plotting.plot import (
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+_COLLISION_COLOUR = "#E69F00"
 
 MAX_SAMPLES = 9
 """Largest number of samples that one figure shows."""
@@ -126,7 +129,7 @@ def plot_prediction(
     true_path = _without_padding(truth)
     path = _without_padding(predicted)
     plot_cells(axes, true_path, COLOURS["astar"], _path_label("true", true_path), lane=-1)
-    plot_cells(axes, path, COLOURS["bfs"], _path_label("predicted", path), lane=1)
+    plot_cells(axes, path, COLOURS["predicted"], _path_label("predicted", path), lane=1)
     is_inside = ((path >= 0) & (path < grid.shape)).all(axis=1)
     inside = path[is_inside]
     collisions = inside[grid[inside[:, 0], inside[:, 1]] == 1]
@@ -135,15 +138,14 @@ def plot_prediction(
             collisions[:, 1],
             collisions[:, 0],
             "x",
-            color="#CC79A7",
+            color=_COLLISION_COLOUR,
             ms=7,
             mew=2,
             label=f"{len(collisions)} in occupied cells",
         )
     path_with_ends = true_path if len(true_path) else path
     if len(path_with_ends):
-        mark(axes, "S", *path_with_ends[0])
-        mark(axes, "G", *path_with_ends[-1])
+        plot_ends(path_with_ends[0], path_with_ends[-1], axes)
     put_header(axes, "predicted and true path")
     return axes
 
@@ -163,7 +165,7 @@ def plot_roadmap(
         vertices: (n, 2) points (row, col); the centres of cells have whole numbers.
         edges: (m, 2) integers, numbers of the two vertices of each edge.
         axes: where to draw; default a new figure.
-        path: (k, 2) points (row, col) of a path on the roadmap.
+        path: (k, 2) points (row, col) of a path on the roadmap, from start to goal.
     """
     from matplotlib.collections import LineCollection
 
@@ -172,11 +174,14 @@ def plot_roadmap(
     vertex_pairs = np.asarray(edges, np.int64).reshape(-1, 2)
     lines = points[vertex_pairs][..., ::-1]  # (m, 2, 2): two points (x, y) of each edge
     label = f"{len(vertex_pairs):,} edges"
-    axes.add_collection(LineCollection(list(lines), colors="#56B4E9", linewidths=1, label=label))
-    if path is not None:
-        plot_cells(axes, np.asarray(path, np.float64).reshape(-1, 2), COLOURS["bfs"], "path")
+    axes.add_collection(LineCollection(list(lines), colors="0.65", linewidths=1, label=label))
     label = f"{len(points):,} samples"
-    axes.scatter(points[:, 1], points[:, 0], s=16, color=COLOURS["astar"], label=label, zorder=3)
+    axes.scatter(points[:, 1], points[:, 0], s=16, color=COLOURS["sample"], label=label, zorder=3)
+    if path is not None:
+        on_path = np.asarray(path, np.float64).reshape(-1, 2)
+        plot_cells(axes, on_path, COLOURS["astar"], "path")
+        if len(on_path):
+            plot_ends(on_path[0], on_path[-1], axes)
     put_header(axes, "roadmap")
     return axes
 

@@ -577,7 +577,10 @@ def test_bad_specs_are_refused_in_one_line(
         ("expected an object", b"[]"),
         ("recipe: got 'rooms', expected one of content_hash", b'{"rooms": [2, 3]}'),
         (r"recipe\.json: not JSON \('utf-8' codec", b'{"maps": \xff}'),
-        ("format version 4, this mapdata 0.1.0 reads 1 to 3", b'{"format_version": 4}'),
+        (
+            f"format version 4, this mapdata {mapdata.__version__} reads 1 to 3",
+            b'{"format_version": 4}',
+        ),
         pytest.param(
             "recipe",
             b'{"spec": ' + b"[" * 100_000,

@@ -452,6 +452,7 @@ def test_what_is_cast_on_the_device(root: str) -> None:
         name for name in before._fields if getattr(before, name).dtype != getattr(after, name).dtype
     }
     assert cast == {
+        "image",
         "map",
         "free",
         "terrain",

@@ -537,8 +537,10 @@ def test_an_augmented_sample_is_a_symmetry_of_the_plain_one(
             np.testing.assert_array_equal(turned["optimal_moves"][0], expected)
             expected = turned_points(sample["waypoints"], code, shape)
             np.testing.assert_array_equal(turned["waypoints"], expected)
+            for channel, turned_channel in zip(sample["image"], turned["image"], strict=True):
+                np.testing.assert_array_equal(turned_channel, turned_grid(channel, code))
     assert codes == set(range(last_code + 1))
-    checked = {*GRID_FIELDS, *CELL_FIELDS, *UNTURNED_FIELDS, "optimal_moves", "waypoints"}
+    checked = {*GRID_FIELDS, *CELL_FIELDS, *UNTURNED_FIELDS, "optimal_moves", "waypoints", "image"}
     assert checked == {*samples.ALL_FIELDS}
 
 

@@ -37,6 +37,7 @@ ELSEWHERE = {
     "howto/ompl.md",
     "howto/robot.md",
     "promises.md",
+    "recipes.md",
     "scale.md",
 }
 """Pages with a test of their own."""
@@ -135,17 +136,26 @@ def test_the_table_of_fields_is_complete() -> None:
 
 
 def test_the_reference_has_every_public_name() -> None:
-    """Each under the module that it comes from, and nothing that is not there."""
-    listed = re.findall(
-        r"^::: (mapdata\.[\w.]+)$",
-        (DOCS / "reference.md").read_text(encoding="utf-8"),
-        re.MULTILINE,
-    )
+    """Each once, as users import it, and nothing that is not there; the first page lists them."""
+    pages_of_reference = {
+        page.name: re.findall(
+            r"^::: (mapdata\.[\w.]+)$", page.read_text(encoding="utf-8"), re.MULTILINE
+        )
+        for page in (DOCS / "reference").glob("*.md")
+    }
+    listed = [name for names in pages_of_reference.values() for name in names]
     assert len(listed) == len(set(listed))
-    assert {f"mapdata.{module}.{name}" for name, module in mapdata._HOME.items()} <= set(listed)
+    top = {name for name in listed if name.count(".") == 1}
+    assert top == {f"mapdata.{name}" for name in mapdata._HOME}
     for name in listed:
         documented = lookup(name)
         assert isinstance(documented, Mapping) or documented.__doc__, name
+        assert name.rpartition(".")[2] not in mapdata._HOME or name in top, name
+    rows = (DOCS / "reference" / "index.md").read_text(encoding="utf-8")
+    table = dict(re.findall(r"^\| \[.*\]\((\w+\.md)\) \| (.*) \|$", rows, re.MULTILINE))
+    for page, names in pages_of_reference.items():
+        if names:
+            assert [f"mapdata.{name}" for name in re.findall("`(.*?)`", table[page])] == names
 
 
 def lookup(name: str) -> object:
@@ -226,7 +236,12 @@ def test_the_notebook_runs_and_ends_in_pictures() -> None:
 def test_each_picture_is_one_that_the_script_draws() -> None:
     """`docs/figures.py` draws all that lie there, for both themes; each is shown, in words, too."""
     script = runpy.run_path(str(DOCS / "figures.py"))
-    drawn = {f"{name}{theme}.png" for name in script["NAMES"] for theme in ("", "-dark")}
+    drawn = {
+        f"{name}{variant}{theme}.png"
+        for name, variants in script["VARIANTS"].items()
+        for variant in variants
+        for theme in ("", "-dark")
+    }
     assert {file.name for file in (DOCS / "images").iterdir()} == drawn
     assert all(
         file.stat().st_size <= script["LARGEST"] <= 150_000 for file in (DOCS / "images").iterdir()
@@ -280,10 +295,14 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
         command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False
     )
     assert process.returncode == 0, textwrap.shorten(process.stderr, 4000)
-    reference = (tmp_path / "site" / "reference" / "index.html").read_text(encoding="utf-8")
-    assert all(
-        f'id="mapdata.{module}.{name}"' in reference for name, module in mapdata._HOME.items()
+    reference = "".join(
+        page.read_text(encoding="utf-8")
+        for page in (tmp_path / "site" / "reference").rglob("*.html")
     )
+    for name in mapdata._HOME:
+        assert f'<h2 id="mapdata.{name}"' in reference, name
+    assert not re.search(r"<h\d[^>]*>[^<]*__\w+__", reference)  # no methods such as __len__
+    assert "<blockquote>" not in reference  # >>> is a doctest
     loading = (tmp_path / "site" / "loading" / "index.html").read_text(encoding="utf-8")
     assert "LightningModule" in loading  # scripts are included
     # In Markdown the stars of two A* in a paragraph may become emphasis.
@@ -291,10 +310,14 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
         page.read_text(encoding="utf-8") for page in (tmp_path / "site").rglob("*.html")
     ]
     assert not any(re.search(r"\bA<em>", page) for page in pages_of_site)
-    assert "__post_init__" not in reference
     notebook = (tmp_path / "site" / "first_look" / "index.html").read_text(encoding="utf-8")
     assert "data:image/png;base64" in notebook
     front = (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
     body = front.split("<article", 1)[1].split("</h1>", 1)[1]
-    assert re.match(r"\s*<p><img [^>]*images/overview.png#only-light", body)
+    assert re.match(
+        r'\s*<p><picture><source media="[^"]*" srcset="images/overview-phone.png">'
+        r"<img [^>]*images/overview.png#only-light",
+        body,
+    )
     assert "images/overview-dark.png#only-dark" in body
+    assert 'srcset="images/overview-phone-dark.png"' in body

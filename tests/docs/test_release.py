@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import zipfile
 from email import message_from_bytes
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -88,6 +90,8 @@ def test_the_wheel_holds_mapdata_only(dist: Path) -> None:
     assert names - info == files(ROOT, "mapdata") | models()
     assert any(name.endswith("LICENSE") for name in info)
     assert (said["Name"], said["Version"]) == ("mapdata-torch", mapdata.__version__)
+    assert said["Description-Content-Type"] == "text/markdown"
+    assert "Paper, https://arxiv.org/abs/2110.13242" in said.get_all("Project-URL", [])
 
 
 def test_what_is_missing_is_named_itself() -> None:
@@ -104,15 +108,100 @@ def test_what_is_missing_is_named_itself() -> None:
                 assert folder != "mapdata" or "python scripts/" not in text, name
 
 
+def workflow(name: str) -> tuple[dict[Any, Any], str]:
+    """Return a workflow of GitHub, parsed and as text."""
+    text = (ROOT / ".github" / "workflows" / f"{name}.yml").read_text(encoding="utf-8")
+    return yaml.safe_load(text), text
+
+
+def steps(job: dict[str, Any], key: str) -> list[str]:
+    """Return what the steps of a job ``run`` or which action each ``uses``."""
+    return [step[key] for step in job["steps"] if key in step]
+
+
+def test_changes_are_tested_on_linux_and_tried_elsewhere() -> None:
+    """Linux runs what a developer runs and must pass; the other systems run README's line and may
+    fail.
+    """
+    tests, _ = workflow("ci")
+    linux, others = tests["jobs"]["linux"], tests["jobs"]["other-systems"]
+    assert steps(linux, "run") == [".ci/run"]
+    assert "continue-on-error" not in linux
+    assert others["continue-on-error"] is True
+    assert others["strategy"]["matrix"]["system"] == ["macos-latest", "windows-latest"]
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert steps(others, "run")[-1] in readme
+
+
+def test_a_tag_is_published_without_a_password() -> None:
+    """Only the job that publishes may ask for an identity, and it runs no code of ours."""
+    publish, text = workflow("publish")
+    assert publish[True] == {"push": {"tags": ["v*"]}}
+    assert publish["permissions"] == {"contents": "read"}
+    build, upload = publish["jobs"]["build"], publish["jobs"]["publish"]
+    assert steps(build, "run") == [".ci/run", '.ci/release "$GITHUB_REF_NAME"']
+    assert "permissions" not in build
+    assert (upload["needs"], upload["permissions"]) == ("build", {"id-token": "write"})
+    assert steps(upload, "run") == []
+    assert steps(upload, "uses")[-1] == "pypa/gh-action-pypi-publish@release/v1"
+    assert "secrets" not in text
+
+
+def test_links_of_the_package_index_are_those_of_the_repository() -> None:
+    """With an address each relative link and picture of README is a file of the tag; without one
+    README is as it is.
+    """
+    names = runpy.run_path(str(ROOT / "setup.py"), run_name="setup")
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert names["description"](readme, "", "1.2.3") == readme
+    assert list(names["project_urls"]("", "1.2.3")) == ["Paper"]
+    address = "https://host/owner/name"
+    absolute = names["description"](readme, address, "1.2.3")
+    links = re.findall(rf'[("]{address}/(blob|raw)/v1\.2\.3/([^)"#]+)', absolute)
+    assert [path for _, path in links if not (ROOT / path).exists()] == []
+    assert {path for folder, path in links if folder == "raw"} == {
+        f"docs/images/{name}{theme}.png"
+        for name in ("overview", "overview-phone", "presets", "presets-phone", "batch")
+        for theme in ("", "-dark")
+    }
+    assert ("blob", "CONTRIBUTING.md") in links
+    assert not re.findall(r'(?:\]\(|src="|srcset=")(?!https?://|#)', absolute)
+    assert (
+        absolute.replace(f"{address}/blob/v1.2.3/", "").replace(f"{address}/raw/v1.2.3/", "")
+        == readme
+    )
+    urls = names["project_urls"](address, "1.2.3")
+    assert urls["Changelog"] == f"{address}/blob/v1.2.3/CHANGELOG.md"
+
+
+def test_the_address_is_one_line_of_the_citation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The package and the site take it from there, and do without it."""
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    without = re.sub("^repository-code:.*\n", "", citation, flags=re.MULTILINE)
+    address = "https://host/owner/name"
+    for text, expected in ((without, ""), (f"{without}repository-code: {address}\n", address)):
+        (tmp_path / "CITATION.cff").write_text(text, encoding="utf-8")
+        package = runpy.run_path(str(ROOT / "setup.py"), run_name="setup")["citation_line"]
+        monkeypatch.setitem(package.__globals__, "ROOT", tmp_path)
+        assert package("repository-code") == expected
+        assert package("version") == mapdata.__version__
+        site = runpy.run_path(str(ROOT / "docs" / "hooks.py"))["on_config"]
+        monkeypatch.setitem(site.__globals__, "CITATION", tmp_path / "CITATION.cff")
+        config: dict[str, str] = {}
+        site(config)
+        assert config == ({"repo_url": address, "repo_name": "name"} if expected else {})
+
+
 def test_the_newest_dependencies_are_tried_each_week() -> None:
     """By a command that looks at no constraints, with no secret and no right to write."""
-    text = (ROOT / ".github" / "workflows" / "newest.yml").read_text(encoding="utf-8")
-    workflow = yaml.safe_load(text)
-    (entry,) = workflow[True]["schedule"]  # to YAML 1.1, "on" is a bool
+    newest, text = workflow("newest")
+    (entry,) = newest[True]["schedule"]  # to YAML 1.1, "on" is a bool
     assert re.fullmatch(r"\d+ \d+ \* \* \d", entry["cron"])
-    (job,) = workflow["jobs"].values()
-    assert [step["run"] for step in job["steps"] if "run" in step] == [".ci/newest"]
-    assert workflow["permissions"] == {"contents": "read"}
+    (job,) = newest["jobs"].values()
+    assert steps(job, "run") == [".ci/newest"]
+    assert newest["permissions"] == {"contents": "read"}
     assert "secrets" not in text
     command = ROOT / ".ci" / "newest"
     assert os.access(command, os.X_OK)
@@ -136,7 +225,7 @@ def test_the_sdist_holds_what_the_tests_need(dist: Path) -> None:
     wanted |= {
         path.name
         for path in ROOT.glob("*.*")
-        if path.is_file() and path.suffix in {".md", ".toml", ".txt"}
+        if path.is_file() and path.suffix in {".md", ".py", ".toml", ".txt"}
     }
     assert wanted | {"LICENSE", "CITATION.cff", "mkdocs.yml"} <= names
     assert not [name for name in names if "__pycache__" in name]
@@ -229,6 +318,7 @@ def test_the_citation_is_that_of_the_readme() -> None:
 
 
 def test_the_changelog_knows_this_version() -> None:
-    """The version has a heading of its own."""
+    """It is the first section below the unreleased one."""
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    assert f"\n## [{mapdata.__version__}]" in changelog
+    sections = re.findall(r"^## \[(.*?)\]", changelog, re.MULTILINE)
+    assert sections[:2] == ["Unreleased", mapdata.__version__]

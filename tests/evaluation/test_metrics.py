@@ -8,6 +8,7 @@ import json
 import runpy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,9 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 import pytest
+from helpers.figures import figure_of
 from helpers.reference import Cell
+from matplotlib.text import Annotation, Text
 
 from mapdata import MapSpec, Plan, ProblemSet, astar, build, evaluate
 from mapdata.evaluation import METRICS, Planner, classical, to_text
@@ -470,16 +473,27 @@ def test_the_script_loads_weights_for_the_movement_of_the_problems(
     assert "path_predictor (search)" in capsys.readouterr().out
 
 
-def test_the_figure_shows_every_planner() -> None:
-    """One mark with its own shape or colour and one name a planner, and axes that say what they
-    are.
-    """
+def test_the_figure_names_every_planner_beside_its_mark() -> None:
+    """No name covers another one or a mark, none is outside, and the axes say what they are."""
     movement = Movement(8)
     table = evaluate(classical(movement), three(movement), bootstrap=5)
     axes = plot_planners(table, subset="all")
-    handles, names = axes.get_legend_handles_labels()
-    assert names == [planner.name for planner in classical(movement)]
-    marks = {(line.get_marker(), line.get_color()) for line in handles}  # type: ignore[attr-defined]
-    assert len(marks) == len(names)
+    rows = table[table["subset"] == "all"]
+    marks = {
+        line.get_label(): tuple(map(float, (*line.get_xdata(), *line.get_ydata())))  # type: ignore[misc]
+        for line in axes.get_lines()
+    }
+    measured = zip(rows["expansion_ratio"], rows["cost_ratio"], strict=True)
+    assert marks == dict(zip(rows["planner"], measured, strict=True))
+    figure_of(axes).draw_without_rendering()
+    labels = [text for text in axes.texts if isinstance(text, Annotation)]
+    assert [label.get_text() for label in labels] == list(marks)
+    assert [label.xy for label in labels] == list(marks.values())
+    boxes = [Text.get_window_extent(label) for label in labels]
+    for box, other in combinations(boxes, 2):
+        assert not box.overlaps(other)
+    for box in boxes:
+        assert all(axes.bbox.contains(*corner) for corner in box.corners())
+        assert not any(box.contains(*axes.transData.transform(mark)) for mark in marks.values())
     assert "expansions" in axes.get_xlabel()
     assert "cost" in axes.get_ylabel()

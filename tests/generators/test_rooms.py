@@ -20,7 +20,8 @@ from mapdata.movement import Movement
 
 SETTINGS = settings(max_examples=300)
 PRESETS = sorted(rooms_generator.PRESETS)
-FIELDS = [field.name for field in fields(Maps) if field.name not in ("movement", "columns")]
+UNCOUNTED = ("movement", "columns", "terrain")  # not arrays of N maps; rooms have no terrain
+FIELDS = [field.name for field in fields(Maps) if field.name not in UNCOUNTED]
 """The arrays of a batch: all of them have an entry for each map."""
 
 

@@ -71,3 +71,9 @@ def assert_lines(found: list[npt.NDArray[np.int64]], expected: list[npt.NDArray[
     assert len(found) == len(expected)
     for line, path in zip(found, expected, strict=True):
         np.testing.assert_array_equal(line, path)
+
+
+def ends_of(axes: Axes) -> dict[str, tuple[float, float]]:
+    """Return where the texts S and G stand, as (row, col)."""
+    places = {text.get_text(): text.get_position() for text in axes.texts}
+    return {letter: places[letter][::-1] for letter in ("S", "G") if letter in places}

@@ -105,11 +105,12 @@ def test_the_true_costs_have_no_loss(movement: Movement) -> None:
     # The largest cost is 255, so that the search sees the same numbers.
     scaled = (samples.terrain.float() * 255 / 92).round()
     right = TrueCosts(scaled, movement).path_loss(samples)
-    wrong = TrueCosts(torch.ones_like(scaled), movement).path_loss(samples)
-    assert abs(right.item()) < 3
-    assert wrong.item() > -1e-4
-    equal = TrueCosts(torch.full_like(scaled, 90.0), movement).path_loss(samples)
-    assert equal.item() > 30
+    assert abs(right.item()) < 1e-3
+    # The reverse order of costs is wrong under every movement. With equal costs and 4 moves nearly
+    # all paths between two cells are shortest ones.
+    reversed_costs = 256 - scaled
+    wrong = TrueCosts(reversed_costs, movement).path_loss(samples)
+    assert wrong.item() > 30
 
 
 def test_the_gradient_lowers_given_paths_and_raises_found_ones() -> None:
@@ -150,7 +151,7 @@ def test_costs_have_one_scale_on_every_map() -> None:
     model = CostPredictor()
     image = torch.randint(0, 256, (3, 3, 40, 64), dtype=torch.uint8)
     occupied = (torch.rand(3, 1, 5, 8) < 0.3).byte()
-    costs = model(image, occupied) - 0.01
+    costs = model(image, occupied).detach() - 0.01
     for k in range(3):
         free = occupied[k, 0] == 0
         assert float(costs[k][free].log().mean()) == pytest.approx(0, abs=1e-3)
@@ -239,3 +240,9 @@ def test_weights_survive_a_file(tmp_path: Path) -> None:
     difference = copy.predict(*arguments).astype(int) - model.predict(*arguments)
     assert copy.hparams["width"] == 8
     assert np.abs(difference).max() <= 2
+
+
+def test_the_weights_that_ship_find_nearly_optimal_paths() -> None:
+    """On new maps, and the textures of the training; docs/costs.md has the figures."""
+    samples = batch(200, seed=77)
+    assert planned_regret(CostPredictor.pretrained(), samples) < 0.002

@@ -112,6 +112,9 @@ def test_path_shows_each_segment_with_its_iterations() -> None:
             for line in axes.get_lines()
         ]
         assert_lines(found, labels.route(search, i))
+        assert axes.get_lines()[0].get_color() == COLOURS[search]
+        other = COLOURS["bfs" if search == "astar" else "astar"]
+        assert other not in {line.get_color() for line in axes.get_lines()}
         legend = axes.get_legend()
         assert legend is not None
         expected = [
@@ -237,7 +240,8 @@ def test_equal_matrices_are_drawn_once(tmp_path: Path) -> None:
 
 
 def test_colours_are_those_of_okabe_and_ito() -> None:
-    """Colour-blind readers can tell them apart."""
+    """Colour-blind readers can tell them apart, and each meaning has a colour of its own."""
+    assert len(set(COLOURS.values())) == len(COLOURS)
     assert {colour.lower() for colour in (*COLOURS.values(), *PALETTE)} <= OKABE_ITO
 
 

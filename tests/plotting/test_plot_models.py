@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from helpers.figures import assert_lines, assert_tidy, drawn, figure_of
+from helpers.figures import assert_lines, assert_tidy, drawn, ends_of, figure_of
 from helpers.samples import WIDE, build_small
 from matplotlib.collections import LineCollection, PathCollection
 
@@ -135,8 +135,9 @@ def test_a_prediction_is_drawn_with_the_true_path_and_marks_collisions() -> None
     )  # through the wall, and out of the map
     axes = plot_prediction(grid, predicted, truth, scores=np.linspace(0, 1, 48).reshape(6, 8))
     assert_lines(drawn(axes, COLOURS["astar"]), [truth[:-1]])
-    assert_lines(drawn(axes, COLOURS["bfs"]), [predicted])
-    assert_lines(drawn(axes, "#CC79A7"), [predicted[1:4]])
+    assert_lines(drawn(axes, COLOURS["predicted"]), [predicted])
+    assert_lines(drawn(axes, "#E69F00"), [predicted[1:4]])
+    assert ends_of(axes) == {"S": (2, 1), "G": (2, 5)}
     assert_tidy(figure_of(axes))
     legend = plot_prediction(grid, np.empty((0, 2)), truth).get_legend()
     assert legend is not None
@@ -153,6 +154,7 @@ def test_roadmap_shows_samples_edges_and_path() -> None:
     (points,) = [artist for artist in axes.collections if type(artist) is PathCollection]
     np.testing.assert_array_equal(np.array(lines.get_segments())[..., ::-1], vertices[edges])
     np.testing.assert_array_equal(np.asarray(points.get_offsets())[:, ::-1], vertices)
-    assert_lines(drawn(axes, COLOURS["bfs"]), [np.array([[0, 1], [3, 4]])])
+    assert_lines(drawn(axes, COLOURS["astar"]), [np.array([[0, 1], [3, 4]])])
+    assert ends_of(axes) == {"S": (0, 1), "G": (3, 4)}
     assert_tidy(figure_of(axes))
     plot_roadmap(grid, np.empty((0, 2)), np.empty((0, 2), np.int64))

@@ -1,0 +1,59 @@
+"""The programs of docs/recipes.md run, as far as their packages are installed."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from helpers import pages
+from helpers.pages import DOCS, ROOT
+
+from mapdata import build
+
+BLOCKS = pages.blocks(DOCS / "recipes.md")
+PROGRAMS = {
+    package: next(
+        block.text
+        for block in BLOCKS
+        if re.search(rf"^(import|from) {package}\b", block.text, re.MULTILINE)
+    )
+    for package in ("hydra", "accelerate", "skorch")
+}
+
+
+def test_each_python_block_is_a_program_that_is_run() -> None:
+    """No block of the page is left out, and the shell's line makes the dataset of this test."""
+    texts = [block.text for block in BLOCKS if block.language == "python"]
+    assert texts == list(PROGRAMS.values())
+    assert [block.text for block in BLOCKS if block.language == "sh"] == [
+        "mapdata build data/maps --preset dungeon --maps 200\n"
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("package", PROGRAMS)
+def test_the_program_runs(package: str, tmp_path: Path) -> None:
+    """In a process of its own, in a folder with the dataset and the configuration of the page."""
+    if importlib.util.find_spec(package) is None:
+        pytest.skip(f"needs pip install {package}")
+    build(tmp_path / "data" / "maps", "dungeon", maps=200)
+    (configuration,) = (block.text for block in BLOCKS if block.language == "yaml")
+    (tmp_path / "conf").mkdir()
+    (tmp_path / "conf" / "config.yaml").write_text(configuration, encoding="utf-8")
+    (tmp_path / "train.py").write_text(PROGRAMS[package], encoding="utf-8")
+    options = ["data.batch_size=64", "data.movement.connectivity=4"] if package == "hydra" else []
+    process = subprocess.run(
+        [sys.executable, "train.py", *options],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert process.returncode == 0, process.stderr
+    assert package != "hydra" or "1 epoch of 3 steps" in process.stdout
