@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import torch
 import torch.nn.functional as F  # noqa: N812  (its usual name)
@@ -68,6 +70,19 @@ def legal_moves(occupied: Tensor, movement: Movement) -> Tensor:
     return torch.stack(legal, dim=1)
 
 
+def min_and_mean_costs(terrain: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the smallest and the mean cost of the free cells of each map, (B, 1, 1) both, float.
+
+    Args:
+        terrain: (B, 1, H, W), the cost of each cell, 0 on occupied cells; some cell is free.
+    """
+    costs = terrain[:, 0].float()  # (B, H, W)
+    is_free = costs > 0
+    min_costs = torch.where(is_free, costs, math.inf).amin(dim=(1, 2), keepdim=True)
+    free_counts = is_free.sum(dim=(1, 2), keepdim=True)  # (B, 1, 1)
+    return min_costs, costs.sum(dim=(1, 2), keepdim=True) / free_counts
+
+
 def cell_numbers(points: Tensor, occupied: Tensor) -> Tensor:
     """Return the number of the cell in which each point lies, row * columns + column, (M,).
 
@@ -104,6 +119,31 @@ def check_problems(
     if grids.all(axis=(1, 2)).any():
         raise ValueError(f"map: got one of {grids.shape[1:]} without a free cell")
     return grids, _checked_ends("start", starts, grids), _checked_ends("goal", goals, grids)
+
+
+def check_terrain(terrain: ArrayLike, grids: Bytes) -> Bytes:
+    """Return terrain as a new array (B, H, W) of uint8.
+
+    Args:
+        terrain: (H, W) or (B, H, W), integers: 1 to 255, the cost of a free cell; 0 if occupied.
+        grids: (B, H, W), 0 free and 1 occupied.
+
+    Raises:
+        ValueError: another shape or dtype, costs above 255, or 0 on other cells than the occupied
+            ones.
+    """
+    costs = np.asarray(terrain)
+    if costs.dtype.kind not in "iu":
+        raise ValueError(f"terrain: got dtype {costs.dtype}, expected integers")
+    costs = costs.reshape(-1, *costs.shape[-2:])
+    if costs.shape != grids.shape:
+        raise ValueError(f"terrain: got shape {costs.shape}, expected {grids.shape}, as the maps")
+    if costs.min() < 0 or costs.max() > 255 or ((costs == 0) != (grids != 0)).any():
+        raise ValueError(
+            f"terrain: got numbers from {costs.min()} to {costs.max()}, expected 0 on occupied "
+            "cells and 1 to 255 on free ones"
+        )
+    return costs.astype(np.uint8)
 
 
 def _checked_ends(name: str, ends: ArrayLike, grids: Bytes) -> Ints:

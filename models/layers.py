@@ -126,11 +126,15 @@ class Trunk(nn.Module):
         return F.pixel_shuffle(self.head(F.relu(fine)), 2)  # (B, outputs, H, W)
 
 
-def padded(occupied: Tensor) -> Tensor:
-    """Return maps (B, 1, H, W) with occupied cells added below and to the right.
+def padded(maps: Tensor, value: int = 1) -> Tensor:
+    """Return maps (B, 1, H, W) with cells added below and to the right.
 
     Afterwards H and W are multiples of `STRIDE`.
+
+    Args:
+        maps: (B, 1, H, W).
+        value: value of the added cells; they are to be occupied.
     """
-    below = -occupied.shape[2] % STRIDE
-    right = -occupied.shape[3] % STRIDE
-    return F.pad(occupied, (0, right, 0, below), value=1)
+    below = -maps.shape[2] % STRIDE
+    right = -maps.shape[3] % STRIDE
+    return F.pad(maps, (0, right, 0, below), value=value)

@@ -11,12 +11,12 @@ import numpy as np
 import pandas as pd
 
 from mapdata import Movement, ProblemSet, Sample, evaluate
-from mapdata.arrays import Bytes, Float32s, Int8s, Ints
+from mapdata.arrays import Bytes, Flags, Float32s, Int8s, Ints
 from mapdata.evaluation import Batched, BatchPlanner, Plan, Planner
 from mapdata.jit import Int, kernel
 from mapdata.search import STEPS, search_batch
 
-from .geometry import check_problems
+from .geometry import check_problems, check_terrain
 from .model import Model
 
 MIN_COST = 10.0
@@ -41,15 +41,23 @@ class LearnedPlanner(Batched, Model):
         grids = batch.map[:, 0].byte().cpu().numpy()
         starts = batch.start.cpu().numpy()
         goals = batch.goal.cpu().numpy()
-        costs = search_batch("astar", grids, starts, goals, self.movement).cost  # -1 without a path
-        is_long = costs >= MIN_COST
-        is_hard = np.zeros(len(costs), bool)
+        terrain = None
+        if "terrain" in batch._fields:
+            terrain = batch.terrain[:, 0].byte().cpu().numpy()
+        paths = search_batch("astar", grids, starts, goals, self.movement, terrain=terrain)
+
+        def problems_of(rows: Flags) -> ProblemSet:
+            """Return the problems of these rows of the batch, (B,)."""
+            terrain_of_rows = None if terrain is None else terrain[rows]
+            arrays = grids[rows], starts[rows], goals[rows]
+            return ProblemSet(*arrays, self.movement, terrain=terrain_of_rows)
+
+        is_long = paths.cost >= MIN_COST  # the cost is -1 without a path
+        is_hard = np.zeros(len(grids), bool)
         if is_long.any():
-            long = ProblemSet(grids[is_long], starts[is_long], goals[is_long], self.movement)
-            is_hard[is_long] = long.hard
+            is_hard[is_long] = problems_of(is_long).hard
         if is_hard.any():
-            problems = ProblemSet(grids[is_hard], starts[is_hard], goals[is_hard], self.movement)
-            self.batch_scores.append(evaluate([planner], problems, bootstrap=1).iloc[0])
+            self.batch_scores.append(evaluate([planner], problems_of(is_hard), bootstrap=1).iloc[0])
 
     def on_validation_epoch_end(self) -> None:
         """Log Opt and Hmean of the planner on the hard problems, for the progress bar."""
@@ -61,14 +69,24 @@ class LearnedPlanner(Batched, Model):
 
 
 class Predictor(Protocol):
-    """A model that predicts moves and costs to go, as `mapdata.models.PathPredictor` does."""
+    """A model that predicts moves and costs to go, as `mapdata.models.PathPredictor` does.
+
+    Attributes:
+        movement: the rule of moves.
+        takes_terrain: whether the model plans on terrain. Otherwise `GuidedSearch` never gives it
+            terrain.
+    """
 
     movement: Movement
+    takes_terrain: bool
 
-    def predict(self, grids: Bytes, goals: Ints) -> tuple[Float32s, Float32s]:
+    def predict(
+        self, grids: Bytes, goals: Ints, terrain: Bytes | None = None
+    ) -> tuple[Float32s, Float32s]:
         """Return scores of the moves (B, moves, H, W) and costs to go (B, H, W), in cells.
 
-        A score is the log probability that the move is optimal, up to a constant for each cell.
+        A score is the log probability that the move is optimal, up to a constant for each cell. On
+        terrain, (B, H, W), a cost to go is a cost on the terrain.
         """
 
 
@@ -88,13 +106,16 @@ class GuidedSearch(Batched):
 
         f       = cost + to_go - 0.001 * length
         cost    = sum over the moves of a path to the cell of (move + penalty)
-        penalty = trust * 64 / side * (odds ** 2 - 1)
+        penalty = trust * mean * 64 / side * (odds ** 2 - 1)
         odds    = min(P(most probable legal move) / P(move), e ** 10)
 
         f, cost, penalty    in cells; ``cost`` is the least of all paths that the search has seen
-        move                length of the move, in cells: 1, or the movement's ``diagonal_cost``
+        move                length of the move, in cells: 1, or the movement's ``diagonal_cost``;
+                            on terrain times the mean of the costs of its two cells
         to_go               predicted cost from the cell to the goal, in cells
-        length              length of the path that the search has to the cell, in cells
+        length              length of the path that the search has to the cell, in cells; on terrain
+                            its cost
+        mean                mean cost of the free cells of the map; 1 without terrain
         side                mean of the rows and columns of the map, in cells
         odds                without unit; 1 for the most probable move
         trust               in cells
@@ -114,25 +135,35 @@ class GuidedSearch(Batched):
     expanded last it makes the most probable move to a cell that was not expanded yet, and it goes
     back where there is none.
 
+    A model that does not take terrain plans as if all free cells cost 1.
+
     Attributes:
         name: name of its row in the table.
         model: the model that predicts moves and costs to go.
-        trust: penalty, in cells, of a move whose odds squared are 2 on a map of 64 x 64.
+        trust: penalty of a move whose odds squared are 2 on a map of 64 x 64, in cells of the mean
+            cost.
     """
 
     name: str
     model: Predictor
     trust: float = 0.15
 
-    def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
-        """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2).
+    def plan_batch(
+        self, grids: Bytes, starts: Ints, goals: Ints, terrain: Bytes | None = None
+    ) -> list[Plan]:
+        """Return a plan for each problem: grids and terrain (B, H, W), starts and goals (B, 2).
 
         Raises:
-            ValueError: a start or goal outside its map or on an occupied cell, or predictions of
-                other shapes than `Predictor` says.
+            ValueError: a start or goal outside its map or on an occupied cell; terrain that does
+                not fit the grids; predictions of other shapes than `Predictor` says.
         """
         grids, starts, goals = check_problems(grids, starts, goals)
-        scores, costs_to_go = self.model.predict(grids, goals)
+        if terrain is not None and self.model.takes_terrain:
+            terrain = check_terrain(terrain, grids)
+            scores, costs_to_go = self.model.predict(grids, goals, terrain)
+        else:
+            terrain = (grids == 0).astype(np.uint8)
+            scores, costs_to_go = self.model.predict(grids, goals)
         movement = self.model.movement
         # Compiled code does not check bounds: it would read past the end of smaller arrays.
         shapes = scores.shape, costs_to_go.shape
@@ -141,14 +172,20 @@ class GuidedSearch(Batched):
             raise ValueError(f"{self.name}: predict gave shapes {shapes}, expected {expected}")
         moves = STEPS[: movement.connectivity]
         side = sum(grids.shape[1:]) / 2
+        mean_costs = terrain.mean(axis=(1, 2), where=terrain > 0)  # (B,)
+        penalties = self.trust * mean_costs * 64 / side  # (B,)
         plans = []
-        for problem in zip(grids, scores, costs_to_go, starts, goals, strict=True):
+        for k in range(len(grids)):
             path, expansions = _search(
-                *problem,
+                terrain[k],
+                scores[k],
+                costs_to_go[k],
+                starts[k],
+                goals[k],
+                penalties[k],
                 moves,
                 movement.diagonal_cost,
                 movement.corner_cutting,
-                self.trust * 64 / side,
             )
             plans.append(Plan(path, expansions, prepared=grids[0].size))
         return plans
@@ -156,31 +193,32 @@ class GuidedSearch(Batched):
 
 @kernel
 def _search(
-    grid: Bytes,
+    terrain: Bytes,
     scores: Float32s,
     costs_to_go: Float32s,
     start: Ints,
     goal: Ints,
+    penalty: float,
     moves: Ints,
     diagonal_cost: float,
     corner_cutting: bool,
-    penalty: float,
 ) -> tuple[Ints, Int]:
     """Return the path of one problem, (k, 2) cells, and the number of expanded cells.
 
     Args:
-        grid: (H, W), 0 free and 1 occupied.
+        terrain: (H, W), the cost of each cell, 0 on occupied cells; 1 on all free cells of a map
+            without terrain.
         scores: (moves, H, W), log probabilities, up to a constant for each cell.
         costs_to_go: (H, W), in cells.
         start: (2,), a free cell.
         goal: (2,), a free cell.
+        penalty: penalty of a move whose odds squared are 2, in cells; infinite for a walk.
         moves: (4, 2) or (8, 2), rows and columns that each move goes; the last four of eight are
             the diagonal ones.
         diagonal_cost: length of a diagonal move, in cells.
         corner_cutting: whether a diagonal move may pass beside occupied cells.
-        penalty: penalty of a move whose odds squared are 2, in cells; infinite for a walk.
     """
-    rows, columns = grid.shape
+    rows, columns = terrain.shape
     lengths = np.full((rows, columns), np.inf)
     costs = np.full((rows, columns), np.inf)
     move_to = np.full((rows, columns), -1, np.int8)  # the move that leads to a cell from its parent
@@ -206,24 +244,26 @@ def _search(
             next_row = row + moves[move, 0]
             next_column = column + moves[move, 1]
             is_inside = 0 <= next_row < rows and 0 <= next_column < columns
-            legal[move] = is_inside and grid[next_row, next_column] == 0
+            legal[move] = is_inside and terrain[next_row, next_column] != 0
             if legal[move] and move >= 4 and not corner_cutting:
-                legal[move] = grid[next_row, column] == 0 and grid[row, next_column] == 0
+                legal[move] = terrain[next_row, column] != 0 and terrain[row, next_column] != 0
             if legal[move]:
                 best_score = max(best_score, scores[move, row, column])
 
         length = lengths[row, column]
         cost = costs[row, column]
+        cell_cost = float(terrain[row, column])
         for move in range(len(moves)):
             if not legal[move]:
                 continue
             next_row = row + moves[move, 0]
             next_column = column + moves[move, 1]
-            move_length = diagonal_cost if move >= 4 else 1.0
+            mean_cost = (cell_cost + float(terrain[next_row, next_column])) / 2
+            move_cost = mean_cost * (diagonal_cost if move >= 4 else 1.0)
             # A shorter path replaces the parent of an expanded cell, too, as in the classical
             # planners. Lengths only fall, and a cell's length always exceeds its parent's, so
             # parents never form a cycle.
-            next_length = length + move_length
+            next_length = length + move_cost
             if next_length < lengths[next_row, next_column]:
                 lengths[next_row, next_column] = next_length
                 move_to[next_row, next_column] = move
@@ -239,7 +279,7 @@ def _search(
             # would have no digits left for lengths. The bound is the first argument of min, which
             # returns it for log odds of NaN, too.
             odds_squared_minus_1 = math.expm1(min(20.0, 2 * log_odds))
-            next_cost = cost + move_length + penalty * odds_squared_minus_1
+            next_cost = cost + move_cost + penalty * odds_squared_minus_1
             if next_cost < costs[next_row, next_column]:
                 costs[next_row, next_column] = next_cost
                 to_go = costs_to_go[next_row, next_column]

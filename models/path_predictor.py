@@ -22,7 +22,15 @@ which teaches more:
         "data/maps", fields=TRAINING_FIELDS, problems="random", augment=True, batch_size=64
     )
 
-The weights that ship were trained in this way, by
+On terrain, where each cell has a cost, the network sees the costs, and its costs to go are in their
+unit:
+
+    data = MapDataModule(
+        "data/terrain", build="terrain", fields=("terrain", *TRAINING_FIELDS), problems="random"
+    )
+    model = PathPredictor(terrain=True)
+
+The weights that ship were trained without terrain, by
 
     OMP_NUM_THREADS=1 python -m mapdata.models.train path_predictor fit --weights FILE
 
@@ -54,7 +62,7 @@ from mapdata import Movement, Sample
 from mapdata.arrays import Bytes, Float32s, Ints
 from mapdata.search import STEPS
 
-from .geometry import heuristic, legal_moves, offsets
+from .geometry import heuristic, legal_moves, min_and_mean_costs, offsets
 from .layers import Trunk, padded
 from .learned_planners import GuidedSearch, LearnedPlanner
 from .model import Tensors
@@ -69,13 +77,18 @@ HALF_TURN = [2, 3, 0, 1, 6, 7, 4, 5]
 """The number of each move on a map after half a turn: N becomes S, E becomes W, NE becomes SW."""
 
 MIN_RATIO = 0.05
-"""Predicted heuristic ratios below this count as this, since costs are divided by them."""
+"""Predicted heuristic ratios below this count as this, since costs are divided by them. On terrain
+it is multiplied by the smallest cost of the map over the mean one.
+"""
 
 # --- targets ------------------------------------------------------------------------------------
 
 
 def targets_on_path(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
-    """Return the targets that a path gives its own cells, in the form of `targets`."""
+    """Return the targets that a path gives its own cells, in the form of `targets`.
+
+    If the batch has the field ``terrain``, costs are those of moves on it.
+    """
     cells = batch.path[:, :-1]  # (B, T - 1, 2)
     steps = batch.path.diff(dim=1)  # (B, T - 1, 2)
     # N, E, S, W, then NE, SE, SW, NW; bit k of a target is move k.
@@ -85,12 +98,21 @@ def targets_on_path(batch: Sample, movement: Movement) -> tuple[Tensor, Tensor]:
     is_move[batch.path[:, 1:, 0] < 0] = False
     has_target = is_move.any(dim=2)  # (B, T - 1), all cells of a path but its goal
     # The true cost to the goal is the sum over the steps that follow. The heuristic of a step is
-    # its cost.
+    # its length.
     down, right = steps.unbind(2)  # (B, T - 1) both
     costs = heuristic(down, right, movement) * has_target  # (B, T - 1)
-    to_go = costs.flip(1).cumsum(dim=1).flip(1)  # (B, T - 1)
     down, right = (cells - batch.goal[:, None]).unbind(2)  # (B, T - 1) both
-    ratios = heuristic(down, right, movement) / to_go  # (B, T - 1)
+    heuristics = heuristic(down, right, movement)  # (B, T - 1)
+    if "terrain" in batch._fields:
+        # Padding, (-1, -1), looks up the last cell of the map, which changes no cost of a step.
+        map_numbers = torch.arange(len(cells), device=cells.device)[:, None]  # (B, 1)
+        rows, columns = batch.path.unbind(2)  # (B, T) both
+        cell_costs = batch.terrain[map_numbers, 0, rows, columns].float()  # (B, T)
+        costs = costs * (cell_costs[:, :-1] + cell_costs[:, 1:]) / 2
+        min_costs, _ = min_and_mean_costs(batch.terrain)
+        heuristics = heuristics * min_costs[:, 0]
+    to_go = costs.flip(1).cumsum(dim=1).flip(1)  # (B, T - 1)
+    ratios = heuristics / to_go  # (B, T - 1)
     bits = 2 ** is_move.long().argmax(dim=2)  # (B, T - 1)
     # Map, row and column of the n cells of all paths that have a target.
     problem, _ = has_target.nonzero(as_tuple=True)  # (n,)
@@ -151,6 +173,27 @@ def encode(occupied: Tensor, goals: Tensor, movement: Movement) -> tuple[Tensor,
     return torch.stack(planes, dim=1), torch.stack(detours, dim=1)
 
 
+def encode_terrain(terrain: Tensor) -> tuple[Tensor, Tensor]:
+    """Return two more planes of input, (B, 2, H, W), and the initial log ratio, (B, 1, 1).
+
+    The planes are the costs over the mean cost of the map, and their logarithms. So the network
+    sees the same if all costs of a map are multiplied by a number. Both are 0 on occupied cells.
+
+    The initial log ratio is the logarithm of the smallest cost over the mean one: that of the
+    heuristic ratio where a shortest path is straight and its cells have the mean cost. The
+    predicted ratio starts from it, so that a single cheap cell, which changes the heuristic of a
+    whole map, does not change what the network has to learn.
+
+    Args:
+        terrain: (B, 1, H, W), the cost of each cell, 0 on occupied cells.
+    """
+    costs = terrain[:, 0].float()  # (B, H, W)
+    min_costs, mean_costs = min_and_mean_costs(terrain)
+    relative_costs = costs / mean_costs  # (B, H, W)
+    logarithms = torch.where(costs > 0, relative_costs, 1.0).log()  # (B, H, W)
+    return torch.stack([relative_costs, logarithms], dim=1), (min_costs / mean_costs).log()
+
+
 # --- network, loss and training -----------------------------------------------------------------
 
 
@@ -158,7 +201,8 @@ class PathPredictor(LearnedPlanner):
     """Predicts optimal moves and the heuristic ratio of every cell, given map and goal.
 
     A batch has the fields ``map, start, goal, path`` or `TRAINING_FIELDS`, with the movement of the
-    model. A list of batches, even with maps of several sizes, is one training step.
+    model, and on terrain the field ``terrain``. A list of batches, even with maps of several sizes,
+    is one training step.
 
     Args:
         connectivity: number of moves, 4 or 8.
@@ -169,8 +213,10 @@ class PathPredictor(LearnedPlanner):
         refinements: number of residual blocks at stride 2 after them. They help where single cells
             matter, as in noise.
         learning_rate: the highest of the schedule.
-        ratio_weight: weight of the squared error of the heuristic ratio.
+        ratio_weight: weight of the squared error of the heuristic ratio; on terrain, where ratios
+            are small, of its logarithm.
         detour_weight: additional weight of cells where the heuristic is more than 2 % too low.
+        terrain: whether the network sees the cost of each cell.
     """
 
     PRETRAINED: ClassVar[Mapping[str, str]] = {
@@ -190,68 +236,108 @@ class PathPredictor(LearnedPlanner):
         learning_rate: float = 0.004,
         ratio_weight: float = 5.0,
         detour_weight: float = 2.0,
+        terrain: bool = False,
     ) -> None:
         """Make the network."""
         super().__init__()
         self.save_hyperparameters()
         self.movement = Movement(connectivity, corner_cutting, diagonal_cost)
-        self.network = Trunk(8, connectivity + 1, widths, passes, refinements)
+        self.takes_terrain = terrain
+        plane_count = 10 if terrain else 8
+        self.network = Trunk(plane_count, connectivity + 1, widths, passes, refinements)
         nn.init.zeros_(self.network.head.weight)
 
-    def forward(self, occupied: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(
+        self, occupied: Tensor, goals: Tensor, terrain: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
         """Return scores of the moves (B, moves, H, W) and heuristic ratios (B, H, W) in [0, 1].
 
         Args:
             occupied: (B, 1, H, W), 0 free and anything else occupied; any H and W.
             goals: (B, 2), cells.
+            terrain: (B, 1, H, W), the cost of each cell, 0 on occupied cells, for a network that
+                takes terrain; None if all free cells cost 1.
+
+        Raises:
+            ValueError: terrain for a network that does not take it.
         """
+        if terrain is not None and not self.takes_terrain:
+            raise ValueError(
+                "terrain: got costs for a network without, expected PathPredictor(terrain=True)"
+            )
         rows, columns = occupied.shape[2:]
         planes, detours = encode(padded(occupied), goals, self.movement)
+        initial_log_ratio: Tensor | None = None
+        if self.takes_terrain:
+            terrain = occupied == 0 if terrain is None else terrain
+            cost_planes, initial_log_ratio = encode_terrain(padded(terrain, value=0))
+            planes = torch.cat([planes, cost_planes], dim=1)
         output = self.network(planes)  # (B, moves + 1, H, W), up to 15 rows and columns more
         output = output[..., :rows, :columns].float()
         # Before training the most probable moves are those that lead straight to the goal.
         scores = output[:, :-1] - PRIOR * detours[..., :rows, :columns]
-        return scores, torch.sigmoid(output[:, -1])
+        ratio_logits = output[:, -1]
+        if initial_log_ratio is not None:
+            ratio_logits = ratio_logits + initial_log_ratio
+        return scores, torch.sigmoid(ratio_logits)
 
     def losses(self, batch: Sample | list[Sample]) -> Tensors:
         """Return ``loss``, its part ``moves``, and ``accuracy``.
 
         - ``moves``: weighted mean of the loss of the moves.
-        - ``loss``: ``moves`` plus ``ratio_weight`` times the mean squared error of the ratio.
+        - ``loss``: ``moves`` plus ``ratio_weight`` times the mean squared error of the ratio, or of
+          its logarithm on terrain.
         - ``accuracy``: share of the cells whose most probable legal move is optimal.
 
         Cells without a target do not count.
+
+        Raises:
+            ValueError: a network that takes terrain gets a batch without it.
         """
         batches = batch if isinstance(batch, list) else [batch]
         # Maps of one size go through the network together, in half the time of several batches.
         by_size: dict[torch.Size, list[list[Tensor]]] = defaultdict(list)
         for part in batches:
             optimal, ratio = targets(part, self.movement)  # (B, H, W) both
-            by_size[part.map.shape[2:]].append([part.map, part.goal, optimal, ratio])
-        cell_losses = []
-        for parts in by_size.values():
-            maps, goals, optimal, ratio = map(torch.cat, zip(*parts, strict=True))
-            cell_losses.append(self.cell_losses(maps, goals, optimal, ratio))
+            tensors = [optimal, ratio, part.map, part.goal]
+            if self.takes_terrain:
+                if "terrain" not in part._fields:
+                    raise ValueError(
+                        f"terrain: got a batch with the fields {', '.join(part._fields)}, expected "
+                        "terrain among them: put it into the `fields` of the data"
+                    )
+                tensors.append(part.terrain)
+            by_size[part.map.shape[2:]].append(tensors)
+        cell_losses = [
+            self.cell_losses(*map(torch.cat, zip(*parts, strict=True)))
+            for parts in by_size.values()
+        ]
         move_loss, squared_error, is_right, weight = torch.cat(cell_losses, dim=1)  # (n,) each
         moves = (weight * move_loss).sum() / weight.sum()
         loss = moves + self.hparams["ratio_weight"] * squared_error.mean()
         return {"loss": loss, "moves": moves, "accuracy": is_right.mean()}
 
     def cell_losses(
-        self, occupied: Tensor, goals: Tensor, optimal: Tensor, ratio: Tensor
+        self,
+        optimal: Tensor,
+        ratio: Tensor,
+        occupied: Tensor,
+        goals: Tensor,
+        terrain: Tensor | None = None,
     ) -> Tensor:
         """Return (4, n) for the n cells that have a target.
 
-        The rows are: loss of the moves; squared error of the ratio; 1 where the most probable legal
-        move is optimal and 0 elsewhere; weight of the cell.
+        The rows are: loss of the moves; squared error of the ratio, or of its logarithm on terrain;
+        1 where the most probable legal move is optimal and 0 elsewhere; weight of the cell.
 
         Args:
-            occupied: (B, 1, H, W), 0 free and anything else occupied.
-            goals: (B, 2), cells.
             optimal: (B, H, W), optimal moves of `targets`.
             ratio: (B, H, W), heuristic ratio of `targets`.
+            occupied: (B, 1, H, W), 0 free and anything else occupied.
+            goals: (B, 2), cells.
+            terrain: (B, 1, H, W), costs of cells, for a network that takes terrain.
         """
-        scores, ratios = self(occupied, goals)  # (B, moves, H, W) and (B, H, W)
+        scores, ratios = self(occupied, goals, terrain)  # (B, moves, H, W) and (B, H, W)
         scores = scores.masked_fill(~legal_moves(occupied, self.movement), -math.inf)
         cells = optimal.nonzero(as_tuple=True)  # map, row and column of the n cells
         scores = scores.permute(0, 2, 3, 1)[cells]  # (n, moves)
@@ -262,7 +348,12 @@ class PathPredictor(LearnedPlanner):
         # not decide among optimal moves.
         optimal_scores = scores.masked_fill(~is_optimal, -math.inf)  # (n, moves)
         move_loss = scores.logsumexp(1) - optimal_scores.logsumexp(1)  # (n,)
-        squared_error = (ratios[cells] - ratio) ** 2  # (n,)
+        predicted_ratio = ratios[cells]  # (n,)
+        if self.takes_terrain:
+            # An error of the logarithm is a relative error of the cost to go.
+            squared_error = (predicted_ratio.clamp(min=1e-6).log() - ratio.log()) ** 2  # (n,)
+        else:
+            squared_error = (predicted_ratio - ratio) ** 2  # (n,)
         most_probable = scores.argmax(1, keepdim=True)  # (n, 1)
         is_right = is_optimal.gather(1, most_probable)[:, 0].float()  # (n,)
         weight = 1 + self.hparams["detour_weight"] * (ratio < 0.98)  # (n,)
@@ -276,11 +367,13 @@ class PathPredictor(LearnedPlanner):
 
     # --- prediction -----------------------------------------------------------------------------
 
-    def predict(self, grids: Bytes, goals: Ints) -> tuple[Float32s, Float32s]:
+    def predict(
+        self, grids: Bytes, goals: Ints, terrain: Bytes | None = None
+    ) -> tuple[Float32s, Float32s]:
         """Return scores of the moves (B, moves, H, W) and costs to go (B, H, W), in cells.
 
         A score is a log probability, up to a constant for each cell. A cost to go is the heuristic
-        divided by the predicted heuristic ratio.
+        divided by the predicted heuristic ratio. On terrain it is a cost on the terrain.
 
         Scores and ratios are means over two views: the map, and the map after half a turn. That
         takes twice the time, and makes paths shorter for no more expansions.
@@ -288,21 +381,42 @@ class PathPredictor(LearnedPlanner):
         Args:
             grids: (B, H, W), 0 free and 1 occupied.
             goals: (B, 2), cells.
+            terrain: (B, H, W), the cost of each cell, 0 on occupied cells, for a network that takes
+                terrain; None if all free cells cost 1.
+
+        Raises:
+            ValueError: terrain for a network that does not take it.
         """
         occupied, cells = self.tensors(np.not_equal(grids, 0)[:, None], goals)
         last_cell = torch.tensor(occupied.shape[2:], device=self.device) - 1  # (2,)
+        costs_of_cells = turned_costs_of_cells = None
+        min_costs: Tensor | float = 1.0
+        min_ratios: Tensor | float = MIN_RATIO
+        if terrain is not None:
+            (costs_of_cells,) = self.tensors(terrain[:, None])  # (B, 1, H, W)
+            turned_costs_of_cells = costs_of_cells.flip(2, 3)
+            min_costs, mean_costs = min_and_mean_costs(costs_of_cells)  # (B, 1, 1) both
+            min_ratios = MIN_RATIO * min_costs / mean_costs
         with self.inference():
-            scores, ratios = self(occupied, cells)
-            turned_scores, turned_ratios = self(occupied.flip(2, 3), last_cell - cells)
+            scores, ratios = self(occupied, cells, costs_of_cells)
+            turned_scores, turned_ratios = self(
+                occupied.flip(2, 3), last_cell - cells, turned_costs_of_cells
+            )
             scores += turned_scores[:, HALF_TURN[: scores.shape[1]]].flip(2, 3)
             scores /= 2
             ratios += turned_ratios.flip(1, 2)
             ratios /= 2
             h = heuristic(*offsets(cells, ratios.shape[1:]), self.movement)  # (B, H, W)
-            costs = h / ratios.clamp(min=MIN_RATIO)  # (B, H, W)
-        return scores.cpu().contiguous().numpy(), costs.cpu().numpy()
+            costs_to_go = min_costs * h / ratios.clamp(min=min_ratios)  # (B, H, W)
+        return scores.cpu().contiguous().numpy(), costs_to_go.cpu().numpy()
 
-    def predict_path(self, map: ArrayLike, start: ArrayLike, goal: ArrayLike) -> Ints:
+    def predict_path(
+        self,
+        map: ArrayLike,
+        start: ArrayLike,
+        goal: ArrayLike,
+        terrain: ArrayLike | None = None,
+    ) -> Ints:
         """Return the predicted path, (k, 2) cells, or (0, 2) where there is no path.
 
         The path is that of a walk from the start, which always makes the most probable legal move
@@ -313,9 +427,11 @@ class PathPredictor(LearnedPlanner):
             map: (H, W) or (1, H, W), 0 free and 1 occupied.
             start: (2,), cell.
             goal: (2,), cell.
+            terrain: (H, W) or (1, H, W), the cost of each cell, for a network that takes terrain.
 
         Raises:
-            ValueError: a start or goal outside the map or on an occupied cell.
+            ValueError: a start or goal outside the map or on an occupied cell; terrain that does
+                not fit the map.
         """
         walk = GuidedSearch("walk", self, trust=math.inf)
-        return walk.plan(map, start, goal).path.astype(np.int64)
+        return walk.plan(map, start, goal, terrain).path.astype(np.int64)

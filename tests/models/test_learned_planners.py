@@ -5,12 +5,13 @@ from __future__ import annotations
 import heapq
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
 from helpers.reference import Cell, neighbours
 
-from mapdata import Forest, Movement, ProblemSet, check_path
+from mapdata import Forest, Movement, ProblemSet, Terrain, check_path
 from mapdata.arrays import Bytes, Float32s, Ints
 from mapdata.models.learned_planners import GuidedSearch
 from mapdata.search import STEPS
@@ -30,8 +31,11 @@ class FixedPredictor:
     movement: Movement
     scores: Float32s
     costs: Float32s
+    takes_terrain: bool = True
 
-    def predict(self, grids: Bytes, goals: Ints) -> tuple[Float32s, Float32s]:
+    def predict(
+        self, grids: Bytes, goals: Ints, terrain: Bytes | None = None
+    ) -> tuple[Float32s, Float32s]:
         """Return the predictions."""
         return self.scores, self.costs
 
@@ -54,11 +58,13 @@ def slow_search(
     goal: Cell,
     movement: Movement,
     trust: float,
+    terrain: Bytes | None = None,
 ) -> tuple[list[Cell], int]:
     """Return path and number of expansions by the formulas in the docstring of `GuidedSearch`.
 
     Here ``trust`` is the penalty of a move whose odds squared are 2 on this map.
     """
+    cell_costs = (np.ones_like(grid) if terrain is None else terrain).tolist()
     moves = [tuple(move) for move in STEPS[: movement.connectivity].tolist()]
     parents: dict[Cell, Cell] = {}
     lengths = {start: 0.0}
@@ -74,7 +80,8 @@ def slow_search(
         legal = []
         for neighbour, (_, diagonal_moves) in neighbours(grid.tolist(), cell, movement):
             move = moves.index((neighbour[0] - cell[0], neighbour[1] - cell[1]))
-            length = movement.diagonal_cost if diagonal_moves else 1.0
+            mean_cost = (cell_costs[cell[0]][cell[1]] + cell_costs[neighbour[0]][neighbour[1]]) / 2
+            length = mean_cost * (movement.diagonal_cost if diagonal_moves else 1.0)
             legal.append((neighbour, length, float(scores[move, cell[0], cell[1]])))
         best_score = max(score for _, _, score in legal)
         for neighbour, length, score in legal:
@@ -117,6 +124,72 @@ def test_the_search_is_the_slow_one(movement: Movement, trust: float, all_tie: b
         path, expansions = slow_search(*arguments, trust * 64 / 13)
         assert plan.path.tolist() == [list(cell) for cell in path]
         assert plan.expansions == expansions
+
+
+@pytest.mark.parametrize("trust", [0.0, 0.4])
+@pytest.mark.parametrize("movement", MOVEMENTS)
+def test_the_search_on_terrain_is_the_slow_one(movement: Movement, trust: float) -> None:
+    """A move costs the mean of its two cells times its length, and penalties are in units of the
+    mean cost of the free cells. The paths are valid.
+    """
+    problems = ProblemSet.sample(Terrain((12, 14), costs=(1, 3, 50)), 1, 30, movement=movement)
+    assert problems.terrain is not None
+    model = random_predictor(problems, 2)
+    model.costs *= 10
+    plans = GuidedSearch("search", model, trust).plan_batch(
+        problems.grids, problems.starts, problems.goals, problems.terrain
+    )
+    for k, plan in enumerate(plans):
+        start = tuple(problems.starts[k].tolist())
+        goal = tuple(problems.goals[k].tolist())
+        terrain = problems.terrain[k]
+        check_path(problems.grids[k], plan.path, movement, terrain=terrain)
+        arguments = (problems.grids[k], model.scores[k], model.costs[k], start, goal, movement)
+        unit = terrain[terrain > 0].mean()
+        path, expansions = slow_search(*arguments, trust * unit * 64 / 13, terrain)
+        assert plan.path.tolist() == [list(cell) for cell in path]
+        assert plan.expansions == expansions
+
+
+def all_plans(planner: GuidedSearch, problems: ProblemSet, terrain: Any) -> list[Any]:
+    """Return path and number of expansions of each problem, on some terrain."""
+    plans = planner.plan_batch(problems.grids, problems.starts, problems.goals, terrain)
+    return [(plan.path.tolist(), plan.expansions) for plan in plans]
+
+
+@pytest.mark.parametrize("trust", [0.4, math.inf])
+def test_terrain_of_ones_changes_no_plan(trust: float) -> None:
+    """Cells that all cost 1 are those of a map without terrain, and other costs change plans."""
+    problems = ProblemSet.sample(Forest((12, 14)), 1, 30, movement=Movement(8))
+    planner = GuidedSearch("search", random_predictor(problems, 2), trust)
+    ones = (problems.grids == 0).astype(np.uint8)
+    without_terrain = all_plans(planner, problems, None)
+    assert all_plans(planner, problems, ones) == without_terrain
+    costs = np.random.default_rng(3).integers(1, 100, ones.shape).astype(np.uint8) * ones
+    assert all_plans(planner, problems, costs) != without_terrain
+
+
+def test_a_model_without_terrain_plans_as_if_all_free_cells_cost_1() -> None:
+    """Its predictions are in cells, so that they do not fit to other costs."""
+    problems = ProblemSet.sample(Terrain((12, 14)), 1, 10, movement=Movement(8))
+    model = replace(random_predictor(problems, 2), takes_terrain=False)
+    planner = GuidedSearch("search", model)
+    assert all_plans(planner, problems, problems.terrain) == all_plans(planner, problems, None)
+
+
+def test_terrain_that_does_not_fit_the_grids_is_refused() -> None:
+    """Terrain is 0 exactly on the occupied cells."""
+    problems = ProblemSet.sample(Terrain((12, 14)), 1, 3, movement=Movement(8))
+    assert problems.terrain is not None
+    planner = GuidedSearch("search", random_predictor(problems, 2))
+    with pytest.raises(ValueError, match=r"terrain: got .* expected 0 on occupied cells"):
+        all_plans(planner, problems, np.maximum(problems.terrain, 1))
+    with pytest.raises(ValueError, match="terrain: got shape"):
+        all_plans(planner, problems, problems.terrain[:, 1:])
+    with pytest.raises(ValueError, match="terrain: got numbers from 0 to 256, expected"):
+        all_plans(planner, problems, np.where(problems.terrain > 0, 256, 0))
+    with pytest.raises(ValueError, match="terrain: got dtype float64, expected integers"):
+        all_plans(planner, problems, problems.terrain / 2)
 
 
 @pytest.mark.parametrize("cut", [(1, 8, 12, 14), (5, 4, 12, 14), (5, 8, 11, 14), (5, 8, 12, 1)])

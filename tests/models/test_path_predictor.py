@@ -35,13 +35,14 @@ from mapdata import (
     Random,
     Route,
     Sample,
+    Terrain,
     astar,
     check_path,
     evaluate,
 )
 from mapdata.evaluation import Planner, classical
 from mapdata.models.geometry import heuristic, legal_moves
-from mapdata.models.learned_planners import planners
+from mapdata.models.learned_planners import GuidedSearch, planners
 from mapdata.models.mixed_batches import MixedBatches
 from mapdata.models.model import WEIGHTS
 from mapdata.models.path_predictor import HALF_TURN, TRAINING_FIELDS, PathPredictor, targets_on_path
@@ -65,18 +66,18 @@ pytestmark = pytest.mark.filterwarnings(
 )
 
 
-def random_model(movement: Movement = Movement(8)) -> PathPredictor:
+def random_model(movement: Movement = Movement(8), terrain: bool = False) -> PathPredictor:
     """Return a model with random predictions, whose walks do not lead straight to the goal."""
     torch.manual_seed(0)
-    model = small_model(movement)
+    model = small_model(movement, terrain)
     torch.nn.init.normal_(model.network.head.weight, std=3.0)
     return model.eval()
 
 
-def small_model(movement: Movement) -> PathPredictor:
+def small_model(movement: Movement, terrain: bool = False) -> PathPredictor:
     """Return a small untrained model."""
     arguments = (movement.connectivity, movement.corner_cutting, movement.diagonal_cost)
-    return PathPredictor(*arguments, widths=(8, 8, 8), passes=1)
+    return PathPredictor(*arguments, widths=(8, 8, 8), passes=1, terrain=terrain)
 
 
 def module(generator: MapSpec, batch_size: int, movement: Movement = Movement(8)) -> MapDataModule:
@@ -374,6 +375,197 @@ def test_start_at_the_goal_and_walls() -> None:
         for start in ((0, 4), (-1, 0), (9, 0)):
             with pytest.raises(ValueError, match="outside its map or on an occupied cell"):
                 planner.plan(grid, start, (8, 8))
+
+
+TERRAIN_FIELDS = ("terrain", "path", "path_mask", *TRAINING_FIELDS)
+
+
+def terrain_batch(generator: Terrain, movement: Movement = Movement(8)) -> Sample:
+    """Return a batch of 12 random problems on terrain, with all fields that a model can take."""
+    data = OnlineMapDataset(
+        generator, 3, 12, fields=TERRAIN_FIELDS, problems="random", movement=movement
+    )
+    batch: Sample = next(iter(DataLoader(data, 12)))
+    return batch
+
+
+HILLS = Terrain((20, 27), costs=(2, 3, 40, 200))
+
+
+@pytest.mark.parametrize("movement", MOVEMENTS)
+def test_a_path_on_terrain_labels_its_own_cells(movement: Movement) -> None:
+    """Their heuristic ratios are those of the field, by the costs of the terrain."""
+    batch = terrain_batch(HILLS, movement)
+    moves, ratio = targets_on_path(batch, movement)
+    on_path = moves != 0
+    assert on_path.sum() == batch.path_mask.sum() - 12  # all cells but the goals
+    assert (moves & ~batch.optimal_moves[:, 0].long() == 0).all()
+    expected = torch.where(on_path, batch.heuristic_ratio[:, 0], 0)
+    torch.testing.assert_close(ratio, expected, rtol=1e-5, atol=1e-5)
+    assert ratio[on_path].mean() < 0.5  # most moves cost more than the smallest cost
+
+
+@pytest.mark.parametrize("fields", [("path",), ("optimal_moves", "heuristic_ratio")])
+def test_the_true_answer_on_terrain_has_no_loss(
+    fields: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For labels of paths and of fields. A wrong ratio costs its relative error, squared."""
+    batch = terrain_batch(HILLS)
+    names = ("map", "start", "goal", "terrain", *fields)
+    sample_class: Any = type(
+        OnlineMapDataset(HILLS, 3, 1, fields=names, problems="random", movement=Movement(8))[:1]
+    )
+    part = sample_class(**{name: getattr(batch, name) for name in names})
+    bits = 2 ** torch.arange(8).view(1, -1, 1, 1)
+    scores = ((batch.optimal_moves & bits) != 0) * 40.0
+    if fields == ("path",):  # one move of each cell, that of the path
+        scores = ((targets_on_path(batch, Movement(8))[0][:, None] & bits) != 0) * 40.0
+    ratios = batch.heuristic_ratio[:, 0]
+    model = small_model(Movement(8), terrain=True)
+    for factor, error in ((1.0, 0.0), (0.9, 5 * np.log(0.9) ** 2)):
+        prediction = (scores, factor * ratios)
+        monkeypatch.setattr(model, "forward", lambda *_, prediction=prediction: prediction)
+        assert float(model.losses(part)["loss"]) == pytest.approx(error, abs=1e-6)
+
+
+def test_a_network_on_terrain_sees_costs_and_takes_their_unit() -> None:
+    """If all costs are multiplied by 3, moves stay, and costs to go are multiplied by 3. Other
+    costs give other moves. Half a turn of the map turns the answer.
+    """
+    batch = terrain_batch(Terrain((20, 27), costs=(1, 3, 40, 80)))
+    terrain = batch.terrain[:, 0].numpy()
+    grids, goals = batch.map[:, 0].numpy(), batch.goal.numpy()
+    model = random_model(terrain=True)
+    scores, costs = model.predict(grids, goals, terrain)
+    tripled_scores, tripled_costs = model.predict(grids, goals, 3 * terrain)
+    np.testing.assert_allclose(tripled_scores, scores, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(tripled_costs, 3 * costs, rtol=1e-3, atol=1e-3)
+    mirrored_costs = np.where(terrain > 0, 81 - terrain, 0).astype(np.uint8)
+    assert np.abs(model.predict(grids, goals, mirrored_costs)[0] - scores).max() > 0.1
+    turned = model.predict(grids[:, ::-1, ::-1], np.array([19, 26]) - goals, terrain[:, ::-1, ::-1])
+    np.testing.assert_allclose(turned[1][:, ::-1, ::-1], costs, rtol=1e-3, atol=1e-3)
+    back = turned[0][:, HALF_TURN, ::-1, ::-1]
+    np.testing.assert_allclose(back, scores, rtol=1e-3, atol=1e-3)
+
+
+def test_predicted_costs_to_go_on_terrain() -> None:
+    """They are the smallest cost times the heuristic over the ratio, which is at least .05 times
+    the smallest cost over the mean one.
+    """
+    batch = terrain_batch(HILLS)
+    model = random_model(terrain=True)
+    assert model.network.head.bias is not None
+    torch.nn.init.constant_(model.network.head.bias, -3.0)  # some ratios are below the least one
+    terrain = batch.terrain[:, 0].numpy()
+    _, costs = model.predict(batch.map[:, 0].numpy(), batch.goal.numpy(), terrain)
+    last_cell = torch.tensor([19, 26])
+    with model.inference():
+        ratios = model(batch.map, batch.goal, batch.terrain)[1]
+        turned = (batch.map.flip(2, 3), last_cell - batch.goal, batch.terrain.flip(2, 3))
+        ratios = (ratios + model(*turned)[1].flip(1, 2)) / 2
+    cells = np.argwhere(np.ones((20, 27)))
+    clamped = 0
+    for k, goal in enumerate(batch.goal.numpy()):
+        free_costs = batch.terrain[k][batch.terrain[k] > 0].double()
+        h = 2 * heuristics(cells, np.tile(goal, (len(cells), 1)), Movement(8)).reshape(20, 27)
+        min_ratio = 0.05 * 2 / float(free_costs.mean())
+        clamped += int((ratios[k] < min_ratio).sum())
+        expected = h / np.maximum(ratios[k].numpy(), min_ratio)
+        np.testing.assert_allclose(costs[k], expected, rtol=1e-4)
+    assert 0 < clamped < ratios.numel()
+
+
+def test_a_network_on_terrain_takes_maps_of_any_size() -> None:
+    """Padding with occupied cells does not change scores and ratios; ratios are from 0 to 1."""
+    model = random_model(terrain=True)
+    for rows, columns in ((1, 1), (7, 9), (48, 80)):
+        terrain = torch.randint(0, 255, (2, 1, rows, columns), dtype=torch.uint8)
+        terrain[:, 0, 0, 0] = 7
+        goals = torch.tensor([[0, 0], [rows - 1, columns - 1]])
+        moves, ratios = model((terrain == 0).byte(), goals, terrain)
+        assert moves.shape == (2, 8, rows, columns)
+        assert ratios.shape == (2, rows, columns)
+        assert ((ratios >= 0) & (ratios <= 1)).all()
+        padded = torch.nn.functional.pad(terrain, (0, -columns % 8, 0, -rows % 8))
+        padded_moves = model((padded == 0).byte(), goals, padded)[0]
+        torch.testing.assert_close(padded_moves[..., :rows, :columns], moves)
+
+
+def test_no_terrain_is_terrain_of_ones() -> None:
+    """A network on terrain plans on other maps, too, and a network without refuses terrain."""
+    drawn = ProblemSet.sample(DUNGEON, 8, 3, movement=Movement(8))
+    ones = (drawn.grids == 0).astype(np.uint8)
+    model = random_model(terrain=True)
+    for predicted, expected in zip(
+        model.predict(drawn.grids, drawn.goals),
+        model.predict(drawn.grids, drawn.goals, ones),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(predicted, expected)
+    with pytest.raises(ValueError, match=r"terrain: got costs .* PathPredictor\(terrain=True\)"):
+        random_model().predict(drawn.grids, drawn.goals, ones)
+
+
+def test_plans_on_terrain_are_scored_on_terrain() -> None:
+    """`evaluate` gives terrain to the planners of a network on terrain alone; both find paths."""
+    drawn = ProblemSet.sample(HILLS, 8, 20, movement=Movement(8))
+    assert drawn.terrain is not None
+    model = random_model(terrain=True)
+    table = evaluate(planners(model), drawn, bootstrap=1)
+    assert (table.success == 1).all()
+    for planner in planners(model):
+        plans = planner.plan_batch(drawn.grids, drawn.starts, drawn.goals, terrain=drawn.terrain)  # type: ignore[call-arg]
+        costs = [
+            check_path(grid, plan.path, Movement(8), terrain=terrain)
+            for grid, plan, terrain in zip(drawn.grids, plans, drawn.terrain, strict=True)
+        ]
+        (regret,) = table[(table.planner == planner.name) & (table.subset == "all")].regret
+        assert regret == pytest.approx(np.mean(costs / drawn.optimal.cost) - 1)
+    walk = planners(model)[0].plan_batch(
+        drawn.grids, drawn.starts, drawn.goals, terrain=drawn.terrain
+    )  # type: ignore[call-arg]
+    path = model.predict_path(drawn.grids[0], drawn.starts[0], drawn.goals[0], drawn.terrain[0])
+    assert path.tolist() == walk[0].path.tolist()
+
+
+def test_a_network_on_terrain_learns_and_is_saved(tmp_path: Path) -> None:
+    """A few steps from paths alone change its weights; the file has all that it takes to load it.
+
+    Validation scores the plans by their costs on the terrain.
+    """
+    torch.manual_seed(0)
+    arguments: dict[str, Any] = {"problems": "random", "movement": Movement(8), "batch_size": 8}
+    data = MapDataModule(
+        None, build=HILLS, fields=("map", "terrain", "start", "goal", "path"), **arguments
+    )
+    model = small_model(Movement(8), terrain=True)
+    initial_weight = model.network.head.weight.clone()
+    run = trainer(tmp_path, max_steps=2, limit_val_batches=1, enable_checkpointing=False)
+    run.fit(model, data)
+    assert not torch.equal(initial_weight, model.network.head.weight)
+    (logged,) = run.validate(model, data, verbose=False)
+    batch = next(iter(data.val_dataloader()))
+    ends = batch.start.numpy(), batch.goal.numpy()
+    terrain = batch.terrain[:, 0].numpy()
+    drawn = ProblemSet(batch.map[:, 0].numpy(), *ends, Movement(8), terrain=terrain)
+    table = hard_rows([GuidedSearch("search", model)], drawn)
+    assert logged["val_opt"] == pytest.approx(table.opt["search"], abs=0.02)
+    model.save(tmp_path / "weights.pt")
+    loaded = PathPredictor.load(tmp_path / "weights.pt")
+    assert loaded.takes_terrain
+    copy = loaded.predict(batch.map[:, 0].numpy(), ends[1], terrain)
+    for array, expected in zip(
+        copy, model.predict(batch.map[:, 0].numpy(), ends[1], terrain), strict=True
+    ):
+        np.testing.assert_allclose(array, expected, rtol=0.02, atol=0.02)
+
+
+def test_a_batch_without_terrain_is_refused() -> None:
+    """A network on terrain could not learn from it."""
+    data = OnlineMapDataset(HILLS, 3, 4, movement=Movement(8))
+    batch = next(iter(DataLoader(data, 4)))
+    with pytest.raises(ValueError, match="terrain: got a batch with the fields map, start, goal"):
+        small_model(Movement(8), terrain=True).losses(batch)
 
 
 @pytest.mark.slow
