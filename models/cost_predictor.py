@@ -236,7 +236,7 @@ class CostPredictor(Model):
 
     # --- prediction -----------------------------------------------------------------------------
 
-    def predict(self, images: ArrayLike, grids: ArrayLike) -> Bytes:
+    def predict(self, images: ArrayLike | Tensor, grids: ArrayLike) -> Bytes:
         """Return the predicted terrain, (B, H, W) uint8: 1 to 255, and 0 on occupied cells.
 
         `mapdata.search_batch` and `mapdata.astar` search on it with ``terrain=``.
@@ -248,7 +248,9 @@ class CostPredictor(Model):
         Raises:
             ValueError: an image that is not of its grid's size.
         """
-        image, occupied = self.tensors(images, np.not_equal(grids, 0)[:, None])
+        # numpy would warn of a tensor that it is asked to copy.
+        pixels = images.cpu().numpy() if isinstance(images, Tensor) else images
+        image, occupied = self.tensors(pixels, np.not_equal(grids, 0)[:, None])
         rows, columns = occupied.shape[2:]
         expected = (len(occupied), 3, self.pixels * rows, self.pixels * columns)
         if image.shape != expected:

@@ -44,8 +44,10 @@ Array = npt.NDArray[Any]
 
 SPECS = {"square": samples.SPEC, "wide": samples.WIDE}
 
-ALL_FIELDS_BUT_WAYPOINTS = tuple(name for name in samples.ALL_FIELDS if name != "waypoints")
-"""Waypoints keep the radius from the map that is not inflated: tests/datasets/test_waypoints.py."""
+INFLATED_FIELDS = tuple(name for name in samples.ALL_FIELDS if name not in ("waypoints", "image"))
+"""The fields of the inflated map. Waypoints keep the radius from the map that is not inflated, and
+images show that map: tests/datasets/test_waypoints.py and test_tiles.py.
+"""
 
 RADII = ("0.05", "0.1", "0.15")
 """Metres on cells of 0.1 m: no cell, those beside obstacles, a corridor of three cells is left."""
@@ -203,9 +205,7 @@ def assert_true(sample: Sample, grid: Array, search: str, movement: Movement) ->
         value = np.asarray(getattr(sample, name), float)
         assert value.shape == np.shape(truth), name
         np.testing.assert_allclose(value, truth, rtol=1e-5, err_msg=name)
-    assert {*expected, "start", "goal", "path", "seed_points", "problem"} == {
-        *ALL_FIELDS_BUT_WAYPOINTS
-    }
+    assert {*expected, "start", "goal", "path", "seed_points", "problem"} == {*INFLATED_FIELDS}
 
 
 CASES: list[tuple[str, str, str, Movement | None]] = [
@@ -228,7 +228,7 @@ def test_stored_problems_are_solved_anew(
     how: dict[str, Any] = {
         "search": search,
         "movement": movement,
-        "fields": ALL_FIELDS_BUT_WAYPOINTS,
+        "fields": INFLATED_FIELDS,
     }
     with_unsolvable = problems(unsolvable=True)
     plain = MapDataset(roots[name], problems=with_unsolvable, **how)
@@ -263,7 +263,7 @@ def test_random_problems_are_sampled_on_the_inflated_map(
     """Those of the reference there, on the next map where it has none; the same as `ProblemSet`."""
     problems = Random(distance=(4, None))
     how: dict[str, Any] = {"problems": problems, "movement": movement, "radius": 0.1}
-    served: dict[str, Any] = {**how, "sampling_seed": SEED, "fields": ALL_FIELDS_BUT_WAYPOINTS}
+    served: dict[str, Any] = {**how, "sampling_seed": SEED, "fields": INFLATED_FIELDS}
     dataset: MapDataset | OnlineMapDataset
     if online:
         dataset = OnlineMapDataset(samples.SPEC, SEED, MAPS, **served)
@@ -312,7 +312,7 @@ def test_online_pairs_are_the_first_that_fit(problems: Route | Pairs, search: st
         SEED,
         MAPS,
         None,
-        ALL_FIELDS_BUT_WAYPOINTS,
+        INFLATED_FIELDS,
         problems=problems,
         search=search,
         movement=movement,
@@ -350,7 +350,7 @@ def test_online_pairs_are_the_first_that_fit(problems: Route | Pairs, search: st
 @pytest.mark.parametrize("problems", ["route", "pairs", "random"])
 def test_workers_and_modules_serve_the_same(many: str, problems: str) -> None:
     """By workers, after pickling, filtered, by a data module, on disk and online."""
-    how: dict[str, Any] = {"problems": problems, "radius": 0.1, "fields": ALL_FIELDS_BUT_WAYPOINTS}
+    how: dict[str, Any] = {"problems": problems, "radius": 0.1, "fields": INFLATED_FIELDS}
     dataset = MapDataset(many, "val", **how)
     assert len(dataset) > 8  # more than a batch
     batches = [dataset[k : k + 8] for k in range(0, len(dataset), 8)]
@@ -421,7 +421,7 @@ def test_a_robot_that_fits_nowhere(roots: dict[str, str]) -> None:
     """Nothing is left of routes, random problems are none, and the unsolvable ones have no path."""
     root = roots["square"]
     assert len(MapDataset(root, radius=5)) == 0
-    every = MapDataset(root, problems=Pairs(True), radius=5, fields=ALL_FIELDS_BUT_WAYPOINTS)[:]
+    every = MapDataset(root, problems=Pairs(True), radius=5, fields=INFLATED_FIELDS)[:]
     assert (every.map == 1).all()
     assert (every.cost == -1).all()
     assert (every.hardness == -1).all()

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from mapdata import models
-from mapdata.models import CVAE, Heatmap, Model, NeuralAstar, PathPredictor, evaluate
+from mapdata.models import CVAE, CostPredictor, Heatmap, Model, NeuralAstar, PathPredictor, evaluate
 from mapdata.models.model import WEIGHTS
 
 FOLDER = Path(models.__file__).parent
@@ -64,7 +64,8 @@ assert not {"torch", "numba", "pytorch_lightning", "numpy"} & set(sys.modules)
 
 def test_each_file_of_weights_has_a_name() -> None:
     """And each name has a file."""
-    files = [file for model in (PathPredictor, Heatmap, CVAE) for file in model.PRETRAINED.values()]
+    models = (PathPredictor, CostPredictor, Heatmap, CVAE)
+    files = [file for model in models for file in model.PRETRAINED.values()]
     assert sorted(files) == sorted(file.name for file in WEIGHTS.iterdir())
 
 
