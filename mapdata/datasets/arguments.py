@@ -116,8 +116,9 @@ class Serving:
             )
         for field in self.fields:
             # A class can be called, so it would be taken for a function of the batch.
-            for field_class, name in ((Tiles, "image"), (Waypoints, "waypoints")):
-                if field == field_class:
+            field_classes: dict[Any, str] = {Tiles: "image", Waypoints: "waypoints"}
+            for field_class, name in field_classes.items():
+                if field is field_class:
                     raise ValueError(
                         f"fields: got the class {field_class.__name__}, expected an instance such "
                         f"as {field_class.__name__}(), or the name {name!r}"

@@ -150,7 +150,7 @@ def test_costs_have_one_scale_on_every_map() -> None:
     model = CostPredictor()
     image = torch.randint(0, 256, (3, 3, 40, 64), dtype=torch.uint8)
     occupied = (torch.rand(3, 1, 5, 8) < 0.3).byte()
-    costs = model(image, occupied) - 0.01
+    costs = model(image, occupied).detach() - 0.01
     for k in range(3):
         free = occupied[k, 0] == 0
         assert float(costs[k][free].log().mean()) == pytest.approx(0, abs=1e-3)
