@@ -1,0 +1,33 @@
+"""The table of docs/costs.md is made from the file of results beside it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from mapdata import ProblemSet
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def test_the_page_shows_the_rows_of_the_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What `write_page` would write is what the page holds."""
+    monkeypatch.syspath_prepend(str(DOCS))
+    import image_tables
+
+    rows = json.loads((DOCS / "image_results.json").read_text())
+    page = (DOCS / "costs.md").read_text()
+    assert image_tables.table(rows) in page
+
+
+def test_a_row_names_its_problems(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The hash of the smallest maps is that of the problems that the script samples now."""
+    monkeypatch.syspath_prepend(str(DOCS))
+    import image_tables
+
+    rows = json.loads((DOCS / "image_results.json").read_text())
+    problems: ProblemSet = image_tables.problems_of(image_tables.FAMILIES["tiles 12"])
+    hashes = {row["set"] for row in rows if row["maps"] == "tiles 12"}
+    assert hashes == {problems.content_hash}
