@@ -161,7 +161,7 @@ def test_links_of_the_package_index_are_those_of_the_repository() -> None:
     assert [path for _, path in links if not (ROOT / path).exists()] == []
     assert {path for folder, path in links if folder == "raw"} == {
         f"docs/images/{name}{theme}.png"
-        for name in ("overview", "overview-phone", "presets", "presets-phone", "batch")
+        for name in ("overview", "overview-phone", "batch")
         for theme in ("", "-dark")
     }
     assert ("blob", "CONTRIBUTING.md") in links
