@@ -115,14 +115,7 @@ class Serving:
                 f"fields: got {self.fields!r}, expected a sequence of names or functions"
             )
         for field in self.fields:
-            # A class can be called, so it would be taken for a function of the batch.
-            field_classes: dict[Any, str] = {Tiles: "image", Waypoints: "waypoints"}
-            for field_class, name in field_classes.items():
-                if field is field_class:
-                    raise ValueError(
-                        f"fields: got the class {field_class.__name__}, expected an instance such "
-                        f"as {field_class.__name__}(), or the name {name!r}"
-                    )
+            _check_is_no_class(field)
             if not callable(field) and field not in list(FIELDS):
                 raise ValueError(
                     f"fields: got {field!r}, expected a function or one of "
@@ -134,6 +127,22 @@ class Serving:
             raise ValueError(
                 "fields: a function gives its name to the sample; use 'def', not 'lambda'"
             )
+
+
+def _check_is_no_class(field: object) -> None:
+    """Refuse the classes `Tiles` and `Waypoints`, which are written without parentheses.
+
+    A class can be called, so it would be taken for a function of the batch.
+
+    Raises:
+        ValueError: the message says what to write.
+    """
+    if field is Tiles:
+        raise ValueError("fields: got the class Tiles, expected Tiles(), or the name 'image'")
+    if field is Waypoints:
+        raise ValueError(
+            "fields: got the class Waypoints, expected Waypoints(), or the name 'waypoints'"
+        )
 
 
 def field_names(fields: Sequence[str | FieldFunction]) -> tuple[str, ...]:
