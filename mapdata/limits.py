@@ -19,6 +19,9 @@ MAX_SIDE = 4096
 MAX_ROOMS = 255
 """Largest number of rooms of a map."""
 
+MAX_CELL_COST = 255
+"""Largest cost of a cell of terrain; the smallest is 1."""
+
 SPLITS = ("train", "val", "test")
 """Names of the splits, in the order of their codes 0, 1, 2."""
 

@@ -54,6 +54,7 @@ from torch import Tensor, nn
 from mapdata import Movement, Sample, search_batch
 from mapdata.arrays import Bytes, Float32s, Ints, offsets_of
 from mapdata.checks import check_choice
+from mapdata.limits import MAX_CELL_COST
 
 from .model import Model, Tensors
 from .neural_astar import search as neural_search
@@ -70,9 +71,6 @@ MAX_LOG_COST = 10.0
 """Largest absolute logarithm of a predicted cost. Its exponential is a factor of 22,000, far more
 than terrain can hold, and far from numbers that overflow.
 """
-
-MAX_TERRAIN = 255
-"""The largest cost of a cell that mapdata searches on; the smallest is 1."""
 
 LOSSES = ("paths", "terrain", "expansions")
 """What a `CostPredictor` can be taught by."""
@@ -272,8 +270,8 @@ def centred(log_costs: Tensor, occupied: Tensor) -> Tensor:
 def as_terrain(costs: Float32s, grids: Bytes) -> Bytes:
     """Return costs (B, H, W) as terrain, (B, H, W) uint8, whose largest cost on a map is 255."""
     free_costs = np.where(grids == 0, costs, 0)
-    scale = MAX_TERRAIN / free_costs.max(axis=(1, 2), keepdims=True, initial=MIN_COST)
-    terrain: Bytes = np.clip(np.rint(costs * scale), 1, MAX_TERRAIN).astype(np.uint8)
+    scale = MAX_CELL_COST / free_costs.max(axis=(1, 2), keepdims=True, initial=MIN_COST)
+    terrain: Bytes = np.clip(np.rint(costs * scale), 1, MAX_CELL_COST).astype(np.uint8)
     terrain[grids != 0] = 0
     return terrain
 

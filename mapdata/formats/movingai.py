@@ -40,8 +40,7 @@ from mapdata.formats.files import (
     split_from_folders,
 )
 from mapdata.formats.registry import Format
-from mapdata.formats.weights import MAX_COST
-from mapdata.limits import MAX_ROOMS, Cell, Size
+from mapdata.limits import MAX_CELL_COST, MAX_ROOMS, Cell, Size
 from mapdata.movement import Movement
 from mapdata.npy import FormatError
 from mapdata.problems.problem_set import ProblemSet
@@ -554,9 +553,10 @@ def _cost_by_code(costs: dict[str, int]) -> Bytes:
     for letter, cost in costs.items():
         if not isinstance(letter, str) or len(letter) != 1 or letter not in letters:
             raise ValueError(f"costs: got the letter {letter!r}, expected one of {letters}")
-        if type(cost) is not int or not 1 <= cost <= MAX_COST:
+        if type(cost) is not int or not 1 <= cost <= MAX_CELL_COST:
             raise ValueError(
-                f"costs: got {cost!r} for {letter!r}, expected a whole number from 1 to {MAX_COST}"
+                f"costs: got {cost!r} for {letter!r}, expected a whole number from 1 to "
+                f"{MAX_CELL_COST}"
             )
         cost_by_code[ord(letter)] = cost
     return cost_by_code

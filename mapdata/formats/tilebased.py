@@ -104,7 +104,7 @@ def read(source: Path, limits: Limits = LIMITS, *, unit: float = UNIT) -> Collec
         # If the user named this file, its error is raised and not only noted.
         with nullcontext() if path == source else collection.leaving_out(path):
             # All maps are read before the first one is used, so a damaged file gives none.
-            maps = _read_maps(_open(path, limits), _split_of(path, source), unit)
+            maps, _ = _read_maps(_open(path, limits), _split_of(path, source), unit)
             collection.maps.extend(maps)
     collection.maps.sort(key=lambda foreign_map: foreign_map.split or 0)  # train, val, test
     collection.notes.append(
@@ -150,13 +150,16 @@ def _open(path: Path, limits: Limits) -> _TileFile:
     return file
 
 
-def _read_maps(file: _TileFile, split: int | None, unit: float) -> list[ForeignMap]:
-    """Return all maps of a file.
+def _read_maps(
+    file: _TileFile, split: int | None, unit: float
+) -> tuple[list[ForeignMap], list[list[_TileProblem]]]:
+    """Return all maps of a file, and the problems of each map.
 
     Raises:
         FormatError: bad weights, cells or paths, or a damaged file.
     """
     maps = []
+    problems_of_maps = []
     entries = zip(
         file.costs.entries(),
         file.targets.entries(),
@@ -186,7 +189,8 @@ def _read_maps(file: _TileFile, split: int | None, unit: float) -> list[ForeignM
                 terrain=terrain,
             )
         )
-    return maps
+        problems_of_maps.append(tile_problems)
+    return maps, problems_of_maps
 
 
 def problems(
@@ -214,17 +218,13 @@ def problems(
     paths = list(files_with_endings(source, (".npz",), limits, Collection()))
     splits = [_split_of(path, source) for path in paths]
     path = only_path_of_split(paths, splits, source, split)
-    file = _open(path, limits)
-    maps = _read_maps(file, None, check_unit(unit))
-    cells = []
-    for number, (targets, sources) in enumerate(
-        zip(file.targets.entries(), file.sources.entries(), strict=True)
-    ):
-        for target_number, source_number in np.ndindex(sources.shape[:2]):
-            start = _cell(sources[target_number, source_number], maps[number].shape, str(path))
-            goal = _cell(targets[target_number], maps[number].shape, str(path))
-            cells.append((number, start, goal))
-    return problem_set(maps, cells, MOVEMENT, path, count)
+    maps, problems_of_maps = _read_maps(_open(path, limits), None, check_unit(unit))
+    ends = [
+        (number, problem.source, problem.target)
+        for number, tile_problems in enumerate(problems_of_maps)
+        for problem in tile_problems
+    ]
+    return problem_set(maps, ends, MOVEMENT, path, count)
 
 
 class _TileProblem(NamedTuple):

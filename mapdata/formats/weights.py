@@ -12,16 +12,13 @@ import numpy as np
 from mapdata.arrays import Array, Bytes
 from mapdata.formats.collection import ForeignMap
 from mapdata.formats.files import Limits, sampling_step
-from mapdata.limits import SPLITS, Cell
+from mapdata.limits import MAX_CELL_COST, SPLITS, Cell
 from mapdata.movement import Movement
 from mapdata.npy import FormatError, StoredArray
 from mapdata.problems.problem_set import ProblemSet
 
 UNIT = 0.1
 """The weight that becomes a cost of 1: published sets have weights such as 0.8 and 9.2."""
-
-MAX_COST = 255
-"""The largest cost of a cell."""
 
 
 def check_unit(unit: float) -> float:
@@ -159,14 +156,14 @@ def to_terrain(weights: Array, unit: float, label: str) -> Bytes:
     exact_weights = weights.astype(np.float64)
     costs = np.rint(exact_weights / unit)
     # With NaN every comparison is false, so this form of the test refuses it.
-    is_cost = (costs >= 1) & (costs <= MAX_COST)
+    is_cost = (costs >= 1) & (costs <= MAX_CELL_COST)
     multiples = np.where(is_cost, costs, 1) * unit
     is_multiple = is_cost & _is_rounded(exact_weights, multiples, weights.dtype)
     if not is_multiple.all():
         row, column = np.argwhere(~is_multiple)[0].tolist()
         raise FormatError(
             f"{label}: cell {row, column} has weight {exact_weights[row, column]:g}, expected a "
-            f"whole multiple of the unit {unit:g}, from {unit:g} to {MAX_COST * unit:g}"
+            f"whole multiple of the unit {unit:g}, from {unit:g} to {MAX_CELL_COST * unit:g}"
         )
     return costs.astype(np.uint8)
 

@@ -20,12 +20,9 @@ from mapdata.generators.generator import SHARED_PARAMETERS, MapGenerator
 from mapdata.generators.maps import Maps
 from mapdata.generators.points import check_seed_points, with_corner_points, with_seed_points
 from mapdata.jit import Int, kernel
-from mapdata.limits import MAX_SIDE
+from mapdata.limits import MAX_CELL_COST, MAX_SIDE
 from mapdata.movement import Movement
 from mapdata.rng import TERRAIN, block, bounded, threshold
-
-_MAX_COST = 255
-"""The highest cost of a cell, and the largest number of levels."""
 
 _HEIGHTS, _OBSTACLES = 0, 2
 """The number of the first octave of each noise of a map; each noise has two octaves."""
@@ -60,10 +57,11 @@ def _check_costs(name: str, values: object) -> tuple[int, ...]:
         ValueError: no costs, too many, or one that is not an integer from 1 to 255.
     """
     costs = tuple(check_count(name, cost) for cost in items_of(values))
-    if not 1 <= len(costs) <= _MAX_COST or max(costs) > _MAX_COST:
+    # No map has more levels than there are costs.
+    if not 1 <= len(costs) <= MAX_CELL_COST or max(costs) > MAX_CELL_COST:
         raise ValueError(
-            f"{name}: got {values!r}, expected 1 to {_MAX_COST} costs, integers from 1 to "
-            f"{_MAX_COST}"
+            f"{name}: got {values!r}, expected 1 to {MAX_CELL_COST} costs, integers from 1 to "
+            f"{MAX_CELL_COST}"
         )
     return costs
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from mapdata.arrays import Array, Bytes, Float32s, Floats, Ints, summary
 from mapdata.checks import check_choice
+from mapdata.limits import MAX_CELL_COST
 from mapdata.movement import Movement, check_movement
 from mapdata.search.jump_points import jump_to_goals
 from mapdata.search.kernels import (
@@ -618,7 +619,7 @@ def as_terrain(terrain: ArrayLike, grid: Bytes) -> Bytes:
     if array.dtype != _UINT8:
         if array.dtype.kind not in "iu":
             raise ValueError(f"terrain: got dtype {array.dtype}, expected integers from 0 to 255")
-        is_outside = (array < 0) | (array > 255)
+        is_outside = (array < 0) | (array > MAX_CELL_COST)
         if is_outside.any():
             number = array[is_outside][0]
             raise ValueError(f"terrain: got the value {number}, expected integers from 0 to 255")
