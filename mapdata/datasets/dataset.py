@@ -35,11 +35,9 @@ from mapdata.datasets.fields import (
     Rooms,
     StoredMaps,
     Waypoints,
-    check_cost,
     divided_lines,
     room_matrices,
     terrain_room_matrices,
-    without_occupied,
 )
 from mapdata.datasets.info import DatasetInfo, field_infos
 from mapdata.datasets.sample import Rows, Sample, cast, row, sample_class, stack
@@ -60,7 +58,8 @@ from mapdata.problems.sources import (
 )
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
 from mapdata.problems.terrain_sampling import sample_terrain_problems
-from mapdata.search.footprint import inflate_all
+from mapdata.search.api import check_cost
+from mapdata.search.footprint import inflate_all, without_occupied
 from mapdata.search.lattice import move_rule
 from mapdata.shards.locations import Locations, locations
 

@@ -34,8 +34,8 @@ from mapdata.datasets.terrain_field_kernels import (
 from mapdata.datasets.tiles import Tiles
 from mapdata.movement import Movement
 from mapdata.problems.symmetry import transform_grids
-from mapdata.search.api import SEARCHES, high_cost_complaint, search_terrains, solve_batch
-from mapdata.search.footprint import clearances
+from mapdata.search.api import SEARCHES, check_cost, search_terrains, solve_batch
+from mapdata.search.footprint import clearances, without_occupied
 from mapdata.search.lattice import UNIT, move_rule
 from mapdata.search.lattice import hardness as hardness_of
 from mapdata.search.taut import NOT_FREE, robot_of, write_waypoints
@@ -553,11 +553,6 @@ def _mask_cells(cells: Ints, grids: Bytes) -> Bytes:
     return mask
 
 
-def without_occupied(terrain: Bytes, grids: Bytes) -> Bytes:
-    """Return terrain (B, H, W) that is 0 on the occupied cells of ``grids``, (B, H, W), too."""
-    return np.where(grids, np.uint8(0), terrain)
-
-
 def room_matrices(search: str, grids: Bytes, seed_points: Ints, movement: Movement) -> Float32s:
     """Return connection matrices (B, R, R) float32 of maps that are solved anew.
 
@@ -592,18 +587,3 @@ def terrain_room_matrices(
     matrices, row, high_cost = fill_terrain_room_matrices(terrain, seed_points, move_rule(movement))
     check_cost(map_numbers, row, high_cost)
     return matrices
-
-
-def check_cost(map_numbers: Ints, row: int, high_cost: int) -> None:
-    """Refuse a map whose costs are too high to be exact.
-
-    Args:
-        map_numbers: (B,) numbers of the maps of a batch.
-        row: of the map in the batch, as kernels return it.
-        high_cost: its doubled cost, as kernels return it; 0 if all costs are exact.
-
-    Raises:
-        ValueError: such a cost; the message has the number of the map.
-    """
-    if high_cost:
-        raise ValueError(f"map {map_numbers[row]}: {high_cost_complaint(high_cost)}")

@@ -11,7 +11,7 @@ from mapdata.arrays import Ints
 from mapdata.checks import check_count
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving, Transform
 from mapdata.datasets.dataset import SampledProblemDataset, SampledProblems
-from mapdata.datasets.fields import Paths, StoredMaps, check_cost, without_occupied
+from mapdata.datasets.fields import Paths, StoredMaps
 from mapdata.datasets.info import DatasetInfo, field_infos
 from mapdata.generators.generator import identity
 from mapdata.generators.maps import Maps
@@ -22,8 +22,8 @@ from mapdata.movement import Movement
 from mapdata.problems.sampling import solve_pairs
 from mapdata.problems.sources import Random, Route, SourceLike, problem_source
 from mapdata.problems.terrain_sampling import solve_terrain_pairs
-from mapdata.search.api import SEARCHES
-from mapdata.search.footprint import min_squared_clearance
+from mapdata.search.api import SEARCHES, check_cost
+from mapdata.search.footprint import min_squared_clearance, without_occupied
 from mapdata.search.lattice import move_rule
 
 

@@ -27,8 +27,8 @@ from mapdata.npy import MAX_BYTES, Npz
 from mapdata.problems.sampling import sample_problems, solve_pairs
 from mapdata.problems.sources import Random, Route, Source, SourceLike, problem_source
 from mapdata.problems.terrain_sampling import sample_terrain_problems, solve_terrain_pairs
-from mapdata.search.api import BatchResult, high_cost_complaint, search_batch
-from mapdata.search.footprint import inflate_all, min_squared_clearance
+from mapdata.search.api import BatchResult, check_cost, search_batch
+from mapdata.search.footprint import inflate_all, min_squared_clearance, without_occupied
 from mapdata.search.lattice import ASTAR, HARD, hardness, move_rule
 from mapdata.search.terrain import min_cell_costs
 from mapdata.shards.files import StrPath, write_output
@@ -539,7 +539,7 @@ def _sample_on(
     if min_clearance > 1:
         inflate_all(batch.grids, min_clearance)
         if batch.terrain is not None:
-            inflated = np.where(batch.grids == 1, np.uint8(0), batch.terrain)
+            inflated = without_occupied(batch.terrain, batch.grids)
             batch = batch._replace(terrain=inflated)
     if isinstance(problems, Random):
         ends = _sample_random(batch, problems, seed, movement)
@@ -571,7 +571,7 @@ def _sample_random(batch: _MapBatch, problems: Random, seed: int, movement: Move
         ends, *_ = sample_problems(batch.grids, *arguments)
         return ends
     ends, _, _, _, failed, high_cost = sample_terrain_problems(batch.terrain, *arguments)
-    _check_costs(batch, failed, high_cost)
+    check_cost(batch.indices, failed, high_cost)
     return ends
 
 
@@ -608,20 +608,8 @@ def _sample_pairs(batch: _MapBatch, only_route: bool, seed: int, movement: Movem
         keep_unsolvable,
         rule,
     )
-    _check_costs(batch, failed, high_cost)
+    check_cost(batch.indices, failed, high_cost)
     return ends
-
-
-def _check_costs(batch: _MapBatch, failed: int, high_cost: int) -> None:
-    """Refuse terrain on which a search met a cost that is too high to be exact.
-
-    Args:
-        batch: the maps.
-        failed: row of the first such map.
-        high_cost: the doubled cost; 0 if all costs are exact.
-    """
-    if high_cost:
-        raise ValueError(f"map {batch.indices[failed]}: {high_cost_complaint(high_cost)}")
 
 
 def _until_hard(

@@ -720,6 +720,21 @@ def high_cost_complaint(doubled_cost: int) -> str:
     )
 
 
+def check_cost(map_numbers: Ints, row: int, high_cost: int) -> None:
+    """Refuse a map whose costs are too high to be exact.
+
+    Args:
+        map_numbers: (B,) numbers of the maps of a batch.
+        row: of the map in the batch, as kernels return it.
+        high_cost: its doubled cost, as kernels return it; 0 if all costs are exact.
+
+    Raises:
+        ValueError: such a cost; the message has the number of the map.
+    """
+    if high_cost:
+        raise ValueError(f"map {map_numbers[row]}: {high_cost_complaint(high_cost)}")
+
+
 def _size(grid: Array) -> str:
     """Return the size of a grid, or of each grid of a stack, as text."""
     return f"{grid.shape[-2]} x {grid.shape[-1]}"

@@ -94,6 +94,11 @@ def inflate_terrain(terrain: ArrayLike, radius: float) -> Bytes:
     return as_terrain(np.where(grid, 0, terrain), grid)
 
 
+def without_occupied(terrain: Bytes, grids: Bytes) -> Bytes:
+    """Return terrain (B, H, W) that is 0 on the occupied cells of ``grids``, (B, H, W), too."""
+    return np.where(grids, np.uint8(0), terrain)
+
+
 def _binary_grid(grid: ArrayLike) -> Bytes:
     """Return ``grid`` (H, W) as uint8.
 
