@@ -3,7 +3,7 @@
 Each row of the table trains a `mapdata.models.CostPredictor` on images and shortest paths and
 scores it on 1,000 new maps of seed 77. FILE collects the rows as JSON and grows: a row that it
 already has is not measured again, so that the command can be stopped and run again. At the end the
-table is written into docs/costs.md. All rows take one core about an hour.
+table is written into docs/costs.md. All rows take one core about an hour and a half.
 """
 
 from __future__ import annotations
