@@ -173,7 +173,7 @@ class CostPredictor(Model):
         """
         costs = self(batch.image, batch.map)  # (B, H, W)
         grids = batch.map[:, 0].byte().cpu().numpy()
-        terrain = as_terrain(costs.detach().cpu().numpy(), grids)
+        terrain = terrain_from_costs(costs.detach().cpu().numpy(), grids)
         maps, paths = random_parts(batch.path.cpu().numpy(), int(self.hparams["parts"]))
         lengths = [len(path) for path in paths]
         teacher_weights = path_weights(
@@ -256,7 +256,7 @@ class CostPredictor(Model):
         # In 32 bits: costs of bfloat16, which has 8 bits, would be too coarse.
         with torch.inference_mode():
             costs = self(image, occupied)
-        return as_terrain(costs.cpu().numpy(), occupied[:, 0].byte().cpu().numpy())
+        return terrain_from_costs(costs.cpu().numpy(), occupied[:, 0].byte().cpu().numpy())
 
 
 def centred(log_costs: Tensor, occupied: Tensor) -> Tensor:
@@ -267,7 +267,7 @@ def centred(log_costs: Tensor, occupied: Tensor) -> Tensor:
     return log_costs - mean
 
 
-def as_terrain(costs: Float32s, grids: Bytes) -> Bytes:
+def terrain_from_costs(costs: Float32s, grids: Bytes) -> Bytes:
     """Return costs (B, H, W) as terrain, (B, H, W) uint8, whose largest cost on a map is 255."""
     free_costs = np.where(grids == 0, costs, 0)
     scale = MAX_CELL_COST / free_costs.max(axis=(1, 2), keepdims=True, initial=MIN_COST)

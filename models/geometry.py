@@ -121,31 +121,6 @@ def check_problems(
     return grids, _checked_ends("start", starts, grids), _checked_ends("goal", goals, grids)
 
 
-def check_terrain(terrain: ArrayLike, grids: Bytes) -> Bytes:
-    """Return terrain as a new array (B, H, W) of uint8.
-
-    Args:
-        terrain: (H, W) or (B, H, W), integers: 1 to 255, the cost of a free cell; 0 if occupied.
-        grids: (B, H, W), 0 free and 1 occupied.
-
-    Raises:
-        ValueError: another shape or dtype, costs above 255, or 0 on other cells than the occupied
-            ones.
-    """
-    costs = np.asarray(terrain)
-    if costs.dtype.kind not in "iu":
-        raise ValueError(f"terrain: got dtype {costs.dtype}, expected integers")
-    costs = costs.reshape(-1, *costs.shape[-2:])
-    if costs.shape != grids.shape:
-        raise ValueError(f"terrain: got shape {costs.shape}, expected {grids.shape}, as the maps")
-    if costs.min() < 0 or costs.max() > 255 or ((costs == 0) != (grids != 0)).any():
-        raise ValueError(
-            f"terrain: got numbers from {costs.min()} to {costs.max()}, expected 0 on occupied "
-            "cells and 1 to 255 on free ones"
-        )
-    return costs.astype(np.uint8)
-
-
 def _checked_ends(name: str, ends: ArrayLike, grids: Bytes) -> Ints:
     """Return starts or goals as a new array (B, 2), after checking that their cells are free."""
     cells = np.atleast_2d(ends)

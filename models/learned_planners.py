@@ -14,9 +14,9 @@ from mapdata import Movement, ProblemSet, Sample, evaluate
 from mapdata.arrays import Bytes, Flags, Float32s, Int8s, Ints
 from mapdata.evaluation import Batched, BatchPlanner, Plan, Planner
 from mapdata.jit import Int, kernel
-from mapdata.search import STEPS, search_batch
+from mapdata.search import STEPS, as_terrain, search_batch
 
-from .geometry import check_problems, check_terrain
+from .geometry import check_problems
 from .model import Model
 
 MIN_COST = 10.0
@@ -159,7 +159,9 @@ class GuidedSearch(Batched):
         """
         grids, starts, goals = check_problems(grids, starts, goals)
         if terrain is not None and self.model.takes_terrain:
-            terrain = check_terrain(terrain, grids)
+            cell_costs = np.asarray(terrain)
+            # A single problem may have a single map, (H, W), as in `check_problems`.
+            terrain = as_terrain(cell_costs.reshape(-1, *cell_costs.shape[-2:]), grids)
             scores, costs_to_go = self.model.predict(grids, goals, terrain)
         else:
             terrain = (grids == 0).astype(np.uint8)

@@ -4,6 +4,7 @@ from mapdata.movement import STEPS
 from mapdata.search.api import (
     BatchResult,
     SearchResult,
+    as_terrain,
     astar,
     bfs,
     check_path,
@@ -21,6 +22,7 @@ __all__ = [
     "Labels",
     "RouteLabels",
     "SearchResult",
+    "as_terrain",
     "astar",
     "bfs",
     "check_path",

@@ -15,10 +15,10 @@ from mapdata.arrays import Bytes
 from mapdata.models import CostPredictor
 from mapdata.models.cost_predictor import (
     TRAINING_FIELDS,
-    as_terrain,
     centred,
     path_weights,
     random_parts,
+    terrain_from_costs,
 )
 
 TILES = Movement(8, corner_cutting=True, diagonal_cost=1)
@@ -162,7 +162,7 @@ def test_terrain_of_costs_spans_its_range() -> None:
     """The largest cost is 255, no free cell is 0, and occupied cells are."""
     costs = np.array([[[0.001, 1.0, 2.0], [9.0, 4.0, 0.5]]], np.float32)
     grids = np.array([[[0, 0, 0], [1, 0, 0]]], np.uint8)
-    assert as_terrain(costs, grids).tolist() == [[[1, 64, 128], [0, 255, 32]]]
+    assert terrain_from_costs(costs, grids).tolist() == [[[1, 64, 128], [0, 255, 32]]]
 
 
 def test_images_of_another_size_are_refused() -> None:

@@ -186,7 +186,9 @@ def test_terrain_that_does_not_fit_the_grids_is_refused() -> None:
         all_plans(planner, problems, np.maximum(problems.terrain, 1))
     with pytest.raises(ValueError, match="terrain: got shape"):
         all_plans(planner, problems, problems.terrain[:, 1:])
-    with pytest.raises(ValueError, match="terrain: got numbers from 0 to 256, expected"):
+    with pytest.raises(
+        ValueError, match="terrain: got the value 256, expected integers from 0 to 255"
+    ):
         all_plans(planner, problems, np.where(problems.terrain > 0, 256, 0))
     with pytest.raises(ValueError, match="terrain: got dtype float64, expected integers"):
         all_plans(planner, problems, problems.terrain / 2)
