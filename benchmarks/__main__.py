@@ -1,5 +1,5 @@
 """The one door to all benchmarks: python -m benchmarks
-[labels|paths|terrain|making|build|loading|planners] [--quick].
+[labels|paths|terrain|making|build|loading] [--quick].
 """
 
 from __future__ import annotations
@@ -9,36 +9,60 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
+from benchmarks.measure import to_markdown
+
 TABLES = {
     "labels": "all labels of a map beside naive Python, and how they grow",
-    "paths": "A* a path beside pyastar2d, python-tcod, scipy, scikit-image, networkx, pathfinding",
+    "paths": "A* beside pyastar2d, python-tcod, scipy, scikit-image, networkx, pathfinding",
     "terrain": "goal fields and A* on terrain beside scikit-image and pyastar2d",
     "making": "making maps beside maze-dataset",
     "build": "a dataset on disk beside the kernels alone; the first build ever; imports",
     "loading": "batches beside tensors in RAM, TensorDataset, naive h5py, npz, PNG + CSV, "
     "HF datasets, webdataset",
-    "planners": "classical and learned planners on the same problems",
 }
-HEAD = """# Benchmarks
+PAGE = """# Benchmarks
 
-Written by `python -m benchmarks{arguments}`. The contestants of a table take turns on one machine:
-trust the ratios more than the times.
+The command `python -m benchmarks{arguments}` writes this page. The first rows of its tables:
 
-![Time of a path by A* and of a sample beside other packages, in multiples](images/speed.png)
+{results}
 
-A peer with other results than ours stops the run. Times and ratios are medians. A target is a
-minimum ratio or rate, or a maximum time, size or growth; missed ones are marked. `pip install -e
-".[bench]"` (and `maze-dataset "muutils<0.9"`) installs the peers; missing ones are skipped.
-Single tables go by their names: labels, paths, terrain, making, build, loading, planners.
-`--quick` takes a minute or two and is less exact.
+![{caption}](images/speed.png)
+
+{tables}
+## How it is measured
+
+- In each table, mapdata and the other packages run in turns on one machine. The ratios are more
+  reliable than the times.
+- Times and ratios are medians. All work runs on one thread, unless a row names workers.
+- If another package returns other results than mapdata, the benchmark stops with an error.
+- A target is a minimum ratio or rate, or a maximum time, size or growth. Missed targets are
+  marked.
+- `pip install -e ".[bench]"` (and `maze-dataset "muutils<0.9"`) installs the other packages.
+  Missing ones are skipped.
+- `python -m benchmarks labels paths` writes single tables: {names}. With `--quick` it takes a
+  minute or two and is less exact.
 """
+CAPTION = (
+    "Bar chart: how many times as long other packages take for a path by A* and to load a sample"
+)
+
+
+def results(tables: Sequence[str]) -> str:
+    """Return a table of the first row of each of ``tables``."""
+    lines = [
+        [line for line in table.splitlines() if line.startswith("|")][:3]  # head, rule, first row
+        for table in tables
+    ]
+    rows = [[cell.strip() for cell in first.split("|")[1:-1]] for *_, first in lines]
+    head = [cell.strip() for cell in lines[0][0].split("|")[1:-1]]
+    return to_markdown([head, *rows])
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables asked for, one after another, and write them as a page with --write."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks",
-        description="Measure ours beside the peers, on an idle machine.",
+        description="Measure mapdata and other packages in turns, on an idle machine.",
         epilog="\n".join(f"{name:10}{what}" for name, what in TABLES.items()),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -46,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "tables", nargs="*", metavar="TABLE", help=f"{', '.join(TABLES)} (default: all)"
     )
     parser.add_argument(
-        "--quick", action="store_true", help="a small run: minutes, and rough figures"
+        "--quick", action="store_true", help="a small run: it takes minutes and is less exact"
     )
     parser.add_argument(
         "--folder", help="where datasets are written (default: the temporary folder)"
@@ -65,12 +89,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
         texts.append(import_module(f"benchmarks.{name}").table(options.quick, options.folder))
         print(texts[-1], flush=True)
     if options.write:
-        said = "".join(
-            f" {word}" for word in (*options.tables, *(["--quick"] if options.quick else []))
+        asked = [*options.tables, *(["--quick"] if options.quick else [])]
+        page = PAGE.format(
+            arguments="".join(f" {word}" for word in asked),
+            results=results(texts),
+            caption=CAPTION,
+            tables="\n".join(texts),
+            names=", ".join(TABLES),
         )
-        Path(options.write).write_text(
-            "\n".join([HEAD.format(arguments=said), *texts]), encoding="utf-8"
-        )
+        Path(options.write).write_text(page, encoding="utf-8")
 
 
 if __name__ == "__main__":

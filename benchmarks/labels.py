@@ -91,7 +91,7 @@ def label_rows(count: int, rounds: int) -> list[Row]:
     many = len(indices)
     return [
         row(
-            "all labels, a map",
+            "all labels, per map",
             "all",
             many,
             times["naive all"],
@@ -107,30 +107,30 @@ def label_rows(count: int, rounds: int) -> list[Row]:
             "careful_label of naive.py: flat lists, shared searches",
         ),
         Row("the same, all maps different", each(times["different"], DIFFERENT)),
-        row("draw and carve, a map", "draw", many, times["naive draw"], "naive.py: no draws"),
+        row("draw and carve, per map", "draw", many, times["naive draw"], "naive.py: no draws"),
         row(
-            "BFS between consecutive rooms, a map",
+            "BFS between consecutive rooms, per map",
             "bfs",
             count,
             times["naive bfs"],
             "naive.py; search_batch",
         ),
         row(
-            "BFS from every room, a map",
+            "BFS from every room, per map",
             "fields",
             count,
             times["naive fields"],
             "naive.py; distance_field a room",
         ),
         row(
-            "A* between consecutive rooms, a map",
+            "A* between consecutive rooms, per map",
             "astar",
             count,
             times["naive astar"],
             "naive.py; search_batch",
         ),
         row(
-            "A* between all rooms, a map",
+            "A* between all rooms, per map",
             "pairs",
             count,
             times["naive pairs"],
@@ -168,7 +168,7 @@ def movement_rows(rounds: int) -> list[Row]:
     rows = []
     for name, count in counts.items():
         time = each(times[name], count)
-        rows.append(Row(f"all labels, {name}, a map", time, target=limits[name]))
+        rows.append(Row(f"all labels, {name}, per map", time, target=limits[name]))
     return rows
 
 
@@ -198,7 +198,7 @@ def growth_rows(work: float, rounds: int) -> list[Row]:
         free = 1 - maps.occupancy.mean()
         nanoseconds = cost[size, rooms] * 1e9 / (size * size * rooms)
         note = f"{nanoseconds:.2f} ns a cell and source; {free:.0%} free; {count} maps"
-        name = f"all labels, {size} x {size}, {rooms} rooms, a map"
+        name = f"all labels, {size} x {size}, {rooms} rooms, per map"
         rows.append(Row(name, each(seconds, count), note=note))
     few, many = ROOMS
     for small, large in pairwise(SIZES):
@@ -233,8 +233,8 @@ def table(quick: bool, parent: str | None = None) -> str:
         *growth_rows(5e6 if quick else 2e8, rounds),
     ]
     notes = (
-        f"medians of {rounds} repeats, one thread",
-        "preset paper (64 x 64), 4-connected, unless a row says otherwise; the target of a growth "
-        "is linear",
+        f"{rounds} repeats",
+        "preset paper (64 x 64), 4-connected, unless a row names another; in rows of growth, the "
+        "target is growth in proportion to the cells or rooms",
     )
     return to_text("Labels on one core", rows, packages=PACKAGES, notes=notes)

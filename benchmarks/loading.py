@@ -674,7 +674,7 @@ def table(quick: bool, parent: str | None = None) -> str:
             rows += reader_rows(folder, 100_000, rounds, ram_target="3x", only_ram=True)
     torch.set_num_threads(threads)
     notes = (
-        f"medians of {rounds} repeats, one thread",
+        f"{rounds} repeats",
         f"preset paper (64 x 64), batches of {BATCH} in random order, num_workers=0, files in the "
         "page cache",
     )

@@ -66,6 +66,6 @@ def table(quick: bool, parent: str | None = None) -> str:
             )
         rows.append(row if not PEER.absence else row._replace(note=f"{PEER.name}: skipped"))
     notes = (
-        f"medians of {rounds} repeats, one thread; the maps differ, only the waiting is compared",
+        f"{rounds} repeats; the packages make different maps, so the table compares only times",
     )
     return to_text("Making maps", rows, packages=PACKAGES, notes=notes, peers=[PEER])

@@ -152,7 +152,7 @@ def to_text(
     notes: Iterable[str],
     peers: Sequence[Peer] = (),
 ) -> str:
-    """Return the table in markdown; versions, machine and the peers' commands follow it."""
+    """Return the table in markdown; the versions, the machine and the peers' commands follow it."""
     found = versions([*packages, *(peer.package for peer in peers if peer.package not in packages)])
     commands = [
         f"{peer.name}: {f'skipped, {why}' if (why := peer.absence) else f'`{peer.command}`'}"
@@ -162,17 +162,19 @@ def to_text(
     marked = (
         row._replace(target=f"{row.target}, missed") if row.is_missed else row for row in rows
     )
-    lines = [[*Row._fields], *([*row] for row in marked)]
-    widths = [max(len(line[k]) for line in lines) for k in range(len(Row._fields))]
-    lines.insert(1, ["-" * width for width in widths])
-    for cells in lines:
-        text.append(
-            "| "
-            + " | ".join(text.ljust(width) for text, width in zip(cells, widths, strict=True))
-            + " |"
-        )
+    text.append(to_markdown([[*Row._fields], *([*row] for row in marked)]))
     text += ["", *(f"- {fact}" for fact in (found, machine(), *notes, *commands))]
     return "\n".join(text) + "\n"
+
+
+def to_markdown(lines: Sequence[Sequence[str]]) -> str:
+    """Return a table in markdown with columns of even width; the first of ``lines`` is its head."""
+    widths = [max(len(cell) for cell in column) for column in zip(*lines, strict=True)]
+    head, *rows = lines
+    return "\n".join(
+        f"| {' | '.join(cell.ljust(width) for cell, width in zip(cells, widths, strict=True))} |"
+        for cells in (head, ["-" * width for width in widths], *rows)
+    )
 
 
 def versions(packages: Iterable[str]) -> str:

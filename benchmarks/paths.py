@@ -1,4 +1,4 @@
-"""A* a path from Python beside what a user would otherwise pick: python -m benchmarks paths.
+"""Paths by A* from Python beside what a user would otherwise pick: python -m benchmarks paths.
 
 Everything is measured in one run. Each peer solves the same problems on its own kind of grid, made
 beforehand, and must find paths of the same length; one that is not installed is skipped by name.
@@ -299,7 +299,7 @@ def rows_of(size: int, count: int, few: int, rounds: int) -> list[Row]:
             f"{peer.name}: equal lengths, {total:,} paths",
         )
 
-    sized = f"A* a path, {size} x {size}"
+    sized = f"A*, per path, {size} x {size}"
     many = len(own)
     return [
         row(f"{sized}, single calls", "single", "theirs", "15x", fastest, many),
@@ -353,7 +353,7 @@ def kinds_of(side: int, rounds: int) -> list[Row]:
                 if [len(path) for path in ours()] != [len(path) for path in theirs()]:
                     raise SystemExit(f"mapdata and {peer.name} differ on {kind} {side} x {side}")
             times = interleaved(contestants, rounds)
-            work = f"A* a {'short ' if near else ''}path, {kind}, {side} x {side}, {rule}"
+            work = f"A*, per {'short ' if near else ''}path, {kind}, {side} x {side}, {rule}"
             value = each(times["ours"], len(ends))
             if peer.absence:
                 rows.append(Row(work, value, target="1x", note=f"{peer.name}: skipped"))
@@ -382,9 +382,11 @@ def table(quick: bool, parent: str | None = None) -> str:
     for side in (64, 256, 1024) if quick else (64, 256, 1024, 4096):
         rows += kinds_of(side, min(rounds, 5))
     notes = (
-        f"medians of {rounds} repeats, one thread",
-        "maps of Table 1, larger ones in proportion, between consecutive rooms, 4-connected",
-        "rows of kinds of maps: 4 problems between free cells, short ones at most 8 rows and "
-        "columns apart; diagonals cost 1 and cut corners, as in pyastar2d",
+        f"{rounds} repeats",
+        "maps of the paper's Table 1, larger ones in proportion; paths between consecutive rooms, "
+        "4-connected",
+        "rows that name a kind of map (empty, rooms, maze, obstacles): 4 problems; in rows of "
+        "short paths, start and goal are at most 8 rows and columns apart; diagonal moves cost 1 "
+        "and cut corners, as in pyastar2d",
     )
     return to_text("Paths", rows, packages=PACKAGES, notes=notes, peers=[*PEERS])

@@ -108,7 +108,7 @@ def check_costs(terrains: list[Bytes], starts: list[Cell], goals: list[Cell]) ->
 
 
 def rows_of(name: str, terrains: list[Bytes], rounds: int) -> list[Row]:
-    """Return the rows of one kind of map: goal fields, and A* a path."""
+    """Return the rows of one kind of map: goal fields, and paths by A*."""
     count = len(terrains)
     starts = random_cells(count, 1)
     goals = random_cells(count, 2)
@@ -157,8 +157,8 @@ def rows_of(name: str, terrains: list[Bytes], rounds: int) -> list[Row]:
             "0.15 ms",
             "equal costs",
         ),
-        row(f"A* a path, {sized}", "path", SCIKIT_IMAGE, "scikit-image path", "", "equal costs"),
-        row(f"A* a path, {sized}", "path", PYASTAR2D, "pyastar2d path", "", "another rule"),
+        row(f"A*, per path, {sized}", "path", SCIKIT_IMAGE, "scikit-image path", "", "equal costs"),
+        row(f"A*, per path, {sized}", "path", PYASTAR2D, "pyastar2d path", "", "another rule"),
     ]
 
 
@@ -245,9 +245,9 @@ def table(quick: bool, parent: str | None = None) -> str:
     rows += picture_rows(rounds)
     rows += drawing_rows(rounds)
     notes = (
-        f"medians of {rounds} repeats, one thread",
-        f"{count} maps of each kind without occupied cells, single calls with another map and goal "
-        "each, 8-connected, corners are cut",
-        "in pyastar2d a move costs what the entered cell costs",
+        f"{rounds} repeats",
+        f"{count} maps of each kind without occupied cells, one call for each map and its goal; "
+        "8-connected, corners are cut",
+        "in pyastar2d, a move costs as much as the cell that it enters",
     )
     return to_text("Terrain", rows, packages=PACKAGES, notes=notes, peers=[SCIKIT_IMAGE, PYASTAR2D])

@@ -286,7 +286,7 @@ def speed() -> Figure:
     for work, _, _, ratio, _, note in (row for row in rows if len(row) == 6):
         peer = re.split("[:,]", note)[0]
         factor = ratio.rstrip("x").replace(",", "")
-        if work == "A* a path, 64 x 64, single calls":
+        if work == "A*, per path, 64 x 64, single calls":
             paths[peer] = float(factor)
         if work.endswith("map, start, goal, path_mask") and not peer.startswith("memset"):
             loading.setdefault(peer, float(factor))  # of 10,000 maps, the first rows

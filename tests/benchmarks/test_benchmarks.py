@@ -185,7 +185,8 @@ class Fake:
 
     def table(self, quick: bool, parent: str | None) -> str:
         """Return what was asked."""
-        return f"## {self.name} {quick} {parent}\n"
+        title = f"{self.name} {quick} {parent}"
+        return measure.to_text(title, [Row("first"), Row("second")], packages=(), notes=())
 
 
 def test_one_command_runs_every_benchmark(
@@ -196,15 +197,20 @@ def test_one_command_runs_every_benchmark(
     door.main([])
     printed = capsys.readouterr().out
     every = [f"## benchmarks.{name} False None" for name in door.TABLES]
-    assert printed == "".join(f"{heading}\n\n" for heading in every)
+    assert [line for line in printed.splitlines() if line.startswith("## ")] == every
 
     page = tmp_path / "benchmarks.md"
     asked = ["paths", "build", "--quick"]
     door.main([*asked, "--folder", str(tmp_path), "--write", str(page)])
     text = page.read_text(encoding="utf-8")
-    assert text.startswith("# Benchmarks\n\nWritten by `python -m benchmarks paths build --quick`.")
-    _, *tables = text.split("\n## ")
-    assert tables == [f"benchmarks.paths True {tmp_path}\n", f"benchmarks.build True {tmp_path}\n"]
+    assert text.startswith(
+        "# Benchmarks\n\nThe command `python -m benchmarks paths build --quick` writes this page."
+    )
+    titles = [f"benchmarks.{name} True {tmp_path}" for name in ("paths", "build")]
+    first, *tables = text.split("\n## ")
+    assert [table.splitlines()[0] for table in tables] == [*titles, "How it is measured"]
+    shown = [line.split("|")[1].strip() for line in first.splitlines() if line.startswith("|")]
+    assert [shown[0], *shown[2:]] == ["work", "first", "first"]
 
 
 @pytest.mark.parametrize(
@@ -241,22 +247,21 @@ TITLES = {
     "making": "Making maps",
     "build": "Building a dataset",
     "loading": "Loading",
-    "planners": "Planners",
 }
 """What stands above each table."""
 
 
 def test_the_page_has_every_table() -> None:
-    """docs/benchmarks.md, as ``--write`` makes it of all tables: their titles in order, and the
-    names that they go by.
+    """docs/benchmarks.md, as ``--write`` makes it of all tables: their titles in order, the first
+    row of each above them, and the names of the tables below them.
     """
     page = (Path(__file__).parents[2] / "docs" / "benchmarks.md").read_text(encoding="utf-8")
-    assert page.startswith("# Benchmarks\n\nWritten by `python -m benchmarks`.")
+    assert page.startswith("# Benchmarks\n\nThe command `python -m benchmarks` writes this page.")
     assert list(TITLES) == list(door.TABLES)
-    found = [line.removeprefix("## ") for line in page.splitlines() if line.startswith("## ")]
-    assert found == list(TITLES.values())
-    in_one_line = " ".join(page.split())
-    assert f"Single tables go by their names: {', '.join(door.TABLES)}." in in_one_line
+    first, *sections = page.split("\n## ")
+    assert [text.splitlines()[0] for text in sections] == [*TITLES.values(), "How it is measured"]
+    assert door.results(sections[:-1]) in first
+    assert f"single tables: {', '.join(door.TABLES)}." in " ".join(page.split())
 
 
 def test_rows_of_terrain_say_which_peer_is_absent(monkeypatch: pytest.MonkeyPatch) -> None:
