@@ -659,6 +659,31 @@ def test_hydra_makes_a_module(root: str, tmp_path: Path) -> None:
     assert type(online.hparams["build"]["spec"]["movement"]) is dict
 
 
+def test_hydra_makes_a_dataset(root: str) -> None:
+    """Without `_convert_`; it takes its movement as an object, and keeps nothing of Hydra."""
+    instantiate = pytest.importorskip("hydra.utils").instantiate
+    create = pytest.importorskip("omegaconf").OmegaConf.create
+    configuration = {
+        "_target_": "mapdata.MapDataset",
+        "root": root,
+        "split": "val",
+        "fields": list(FIELDS),
+        "dtype": "float32",
+        "movement": {"_target_": "mapdata.Movement", "connectivity": 8},
+    }
+    source, movement = Random(distance=(3, None)), Movement(8)
+    expected = MapDataset(
+        root, "val", FIELDS, problems=source, movement=movement, dtype=torch.float32
+    )
+    for problems in (
+        {"random": {"distance": [3, None]}},
+        {"_target_": "mapdata.Random", "distance": [3, None]},
+    ):
+        dataset = instantiate(create({**configuration, "problems": problems}))
+        assert dataset.serving == expected.serving
+        assert b"omegaconf" not in pickle.dumps(dataset)
+
+
 class Told(Logger):
     """A logger that keeps what it is told, as W&B and MLflow do."""
 
