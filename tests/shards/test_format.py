@@ -665,7 +665,7 @@ def test_values_to_check_against(tmp_path: Path) -> None:
         str(manifest.identity),
         f"n = {len(first.seed_points)}, T = {first.passage_width}, split "
         f"{('train', 'val', 'test')[first.split]}",
-        "seeds " + " ".join(f"({row}, {column})" for row, column in first.seed_points),
+        "seed points " + " ".join(f"({row}, {column})" for row, column in first.seed_points),
         f"segments of {', '.join(str(len(moves)) for moves in bfs.moves)} moves by both",
         f"iterations {', '.join(map(str, bfs.iterations))} by BFS and "
         f"{', '.join(map(str, astar.iterations))} by A*",
