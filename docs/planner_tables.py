@@ -501,13 +501,14 @@ def machines(results: Results) -> str:
 
 PAGE = """# All planners on all sets
 
-[Planners compared](planners.md) says what the columns are. Hard problems alone; ± is half the width
-of the 95 % interval. Times are processor time of one thread, means over the
-first 100 problems.
+[Planners compared](planners.md) explains the columns. All tables have hard problems only, unless
+they say otherwise; ± is half the width of the 95 % interval. Times are processor time of one
+thread, means over the first 100 problems. Processors round differently: on another one, Opt and
+Hmean of the network can differ by up to .01.
 
 `python docs/planner_tables.py` measures all of it and keeps every figure in
-[planner_results.json](planner_results.json); `docs/planner_results.py` says what stands in that
-file. To put a planner of your own beside the others, in the file and in these tables:
+[planner_results.json](planner_results.json); `docs/planner_results.py` describes that file. This
+command adds your own planner to the file and to these tables:
 
     python docs/planner_tables.py --set dungeon-hard-1000 --add my_module:planner
 
@@ -517,23 +518,26 @@ that takes a `mapdata.Movement` and returns one.
 ## The sets
 
 A set is a recipe: one problem on each map of seed 77, until a given number of them is hard. The
-hash is `ProblemSet.content_hash`: equal hashes mean equal problems, to the last cell.
-
-The flags are those of `python -m mapdata.models.evaluate planners --seed 77`.
+hash is `ProblemSet.content_hash`: equal hashes mean that all problems are equal, cell by cell. The
+table has the flags of `python -m mapdata.models.evaluate planners --seed 77` that make each set.
 
 {sets}
 
-Two more have no preset: `loops`, mazes with corridors of two cells and a tenth of the walls
-reopened, and `dungeon256`, 60 to 120 rooms on 256 x 256 cells; the file of results has their
-generators. `-cut` says that corners may be cut, TransPath's rule, and `-4` that there are no
-diagonal moves, the default rule of our labels.
+Two more sets have no preset. `loops` has mazes with corridors of two cells, from which a tenth of
+the walls is removed. `dungeon256` has 60 to 120 rooms on 256 x 256 cells. The file of results has
+their generators. Sets with `-cut` allow corner cutting, as TransPath does. Sets with `-4` are
+4-connected, which is the default of mapdata's labels.
 
-`--save dungeon-hard-1000.npz` writes a set, which then takes the place of the recipe, in Python
-too: `ProblemSet.load("dungeon-hard-1000.npz")`.
+`--save dungeon-hard-1000.npz` writes a set to a file, which can then replace the flags:
+`python -m mapdata.models.evaluate planners dungeon-hard-1000.npz`. In Python,
+`ProblemSet.load("dungeon-hard-1000.npz")` reads it.
+
+JPS4, a jump point search for 4-connected movement (Baum 2025,
+[arXiv 2501.14816](https://arxiv.org/abs/2501.14816)), was not measured.
 
 ## Goal field, jump points and network
 
-Times are those in batches.
+Times are per problem, in batches.
 
 {summary}
 
@@ -543,16 +547,82 @@ Times are those in batches.
 
 ## What carries over
 
-Small networks (the defaults of `PathPredictor`), each trained for 2,000 steps: of 24 maps of one
-family, of 4 of each of all five, or of 6 of each but one; Hmean of the search on the hard problems
-of each column's set, as `python docs/planner_tables.py --transfer` measures it{transfer_source}.
+The table has the Hmean of small networks (the defaults of `PathPredictor`) on the hard problems of
+each column's set. Each network was trained for 2,000 steps, with 24 maps of one family in each
+step, with 4 maps of each of all five, or with 6 maps of each but one.
+`python docs/planner_tables.py --transfer` measures it{transfer_source}.
 
 {transfer}
 
-Rooms, caves, forests and noise teach each other: caves that were left out are solved nearly as well
-as with them. Mazes do not: a network of mazes is lost elsewhere, and without mazes in the training
-it is lost in them. All five together cost little on rooms, caves and forests, more on mazes and
-noise: a family has a sixth of the maps that it has alone.
+Training on rooms, caves, forests or noise helps on the other three, too: without caves in the
+training, caves are solved nearly as well as with them. Mazes are different: a network that was
+trained on mazes solves little else, and networks that were not trained on mazes solve few of them.
+Training on all five together costs little on rooms, caves and forests, and more on mazes and noise:
+each family then has a sixth of the maps that it has alone.
+
+## How the weights were trained
+
+### Path predictors
+
+These commands trained the pretrained weights for 8-connected movement, for corner cutting and for
+4-connected movement. They take 50, 20 and 25 minutes on one core:
+
+    T="python -m mapdata.models.train path_predictor"
+    $T fit --weights path_predictor.pt
+    $T fit --weights path_predictor_cut.pt --model.corner_cutting true \\
+        --start_from path_predictor.pt --trainer.max_epochs 4 --model.learning_rate 0.002
+    $T fit --weights path_predictor_4.pt --model.connectivity 4 \\
+        --model.widths "[32,64,96,96]" --trainer.max_epochs 5
+
+A step has 39 maps of 64 x 64 cells of four families (rooms, mazes, caves and forests, which include
+noise) and one map of 128 x 128 of each family. Then each network was trained for another 1,000
+steps, which take 10 minutes. Each of these steps also has 10 more maps of noise, and one map of
+rooms of 256 x 256 cells:
+
+    R="python -m mapdata.models.train refine_path_predictor"
+    $R fit --start_from path_predictor.pt --weights path_predictor.pt
+    $R fit --start_from path_predictor_cut.pt --weights path_predictor_cut.pt \\
+        --model.corner_cutting true
+    $R fit --start_from path_predictor_4.pt --weights path_predictor_4.pt --model.connectivity 4 \\
+        --model.widths "[32,64,96,96]"
+
+To train the pretrained weights further on your own maps, save them to a file. The refined network
+has one more block, so the option `--model.refinements 1` is needed:
+
+    python -c "from mapdata.models import PathPredictor as P; P.pretrained().save('start.pt')"
+    $T fit --start_from start.pt --model.refinements 1 --weights mine.pt \\
+        --data mapdata.MapDataModule --data.root data/maps
+
+### Mazes of planning-datasets
+
+The [table of these mazes](#mazes_032_moore_c8npz) has networks that were trained on the training
+split of the same file, without the 39 maps that also occur, perhaps rotated or mirrored, in another
+split. The path predictor was trained for 800 steps, about five minutes on one core:
+
+    mapdata import mazes_032_moore_c8.npz data/mazes --drop-leaks
+    DATA="--data mapdata.MapDataModule --data.root data/mazes --data.batch_size 100"
+    RULE="--model.corner_cutting true --model.diagonal_cost 1"
+    $T fit --weights mazes.pt $DATA $RULE \\
+        --data.fields "[map,start,goal,optimal_moves,heuristic_ratio]" --data.problems random \\
+        --data.augment true --trainer.max_epochs -1 --trainer.max_steps 800 \\
+        --trainer.check_val_every_n_epoch 50
+    python docs/planner_tables.py --file mazes_032_moore_c8.npz --weights mazes.pt \\
+        --baseline "A* of Neural A*"
+
+`mapdata.models.neural_astar` has Neural A* in one file of plain torch: the authors' encoder, and
+the search through which it is trained. This command trains it on the same mazes, with the goals of
+the file and starts at least 22 moves away, in about nine minutes on one core:
+
+    $T fit --weights neural_astar.pt --model NeuralAstar --model.learning_rate 0.001 \\
+        $DATA $RULE --data.fields "[map,start,goal,optimal_moves]" \\
+        --data.problems '{{random: {{distance: [22, null], to_first_seed_point: true}}}}' \\
+        --trainer.max_epochs 50 --trainer.gradient_clip_val null --seed_everything 1
+
+Two things matter when you train Neural A*. First, a problem has many shortest paths: in each step
+the model chooses one of them at random, as the authors' data does. Second, the goals of the file
+lie near the border: with goals anywhere on the map, three seeds had an Hmean of only .509, .537 and
+.528. The command trains in bfloat16 on 761 of the 800 maps and keeps the weights of the last epoch;
+the authors keep those with the best validation score.
 
 ## Measured on
 

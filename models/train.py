@@ -37,7 +37,7 @@ Further flags after fit:
         unless --data.fields asks for richer ones.
     --model NeuralAstar
         Train another model. Learning rate, moves and fields must be given, too, because those of
-        the YAML file are for the path predictor; docs/planners.md has the command.
+        the YAML file are for the path predictor; docs/planner_tables.md has the command.
 
 Models of costs
 ---------------
