@@ -228,7 +228,7 @@ def measure(results: Results, name: str, planners: Sequence[Planner], command: s
 
 
 def all_planners(movement: Movement) -> list[Planner]:
-    """Return the classical planners and the search with the weights that ship for a movement."""
+    """Return the classical planners and the search with the pretrained weights for a movement."""
     model = PathPredictor.pretrained(SHIPPED[movement])
     return [*classical(movement), GuidedSearch(SEARCH, model)]
 
@@ -252,7 +252,7 @@ def measure_file(
     baseline: str | None,
     command: str,
 ) -> None:
-    """Measure all problems of a file of others, with networks of one's own beside the classical."""
+    """Measure all problems of a foreign file, with given networks beside the classical planners."""
     problems = load_problems([file], None, 0 if file.endswith(".npz") else None, None)
     name = Path(file).name
     rows: list[Planner] = list(classical(problems.movement))

@@ -1,4 +1,4 @@
-"""Measure the planners that ship on maps of games and robots: python docs/zero_shot.py FOLDER.
+"""Measure the included planners on maps of games and robots: python docs/zero_shot.py FOLDER.
 
 FOLDER has maps of the MovingAI benchmark (.map) and of ROS (.yaml beside its picture); no network
 saw any of them. Each map is cut into windows of 64 x 64 cells at random places. A window gives one

@@ -1,4 +1,4 @@
-"""What the command lines of the sample models share: the first word says what to run."""
+"""What the command lines of the models share: the first word says what to run."""
 
 from __future__ import annotations
 

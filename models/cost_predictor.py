@@ -33,7 +33,7 @@ The class can also be taught in two other ways, to compare with: by the true cos
 of Neural A* (neural_astar.py), which wants the search to expand few cells, and so does not pin down
 costs. docs/costs.md has the table.
 
-The weights that ship were trained by
+The pretrained weights were trained by
 
     OMP_NUM_THREADS=1 python -m mapdata.models.train cost_predictor fit --weights FILE
 

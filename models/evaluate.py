@@ -14,7 +14,7 @@ For example:
 In a checkout scripts/evaluate_planners.py and scripts/evaluate_sampler.py take the same arguments,
 without the name.
 
-The path predictors that ship are among the planners: there are weights for 4 moves, and for 8
+The pretrained path predictors are among the planners: there are weights for 4 moves, and for 8
 moves whose diagonals cost sqrt(2), with and without --corner-cutting. For another movement, name
 weights of your own with --weights.
 
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from .lego.sampler import Sampler
 
 SHIPPED = {Movement(8): "eight", Movement(8, corner_cutting=True): "cut", Movement(4): "four"}
-"""The names of the path predictors that ship, by their movement."""
+"""The names of the pretrained path predictors, by their movement."""
 
 PLOTTED = ("halton", "bridge", "corners_alone", "lego_cvae", "lego_heatmap", "lego_heatmap_alone")
 """Samplers in the figure; the table has all of them."""
@@ -102,7 +102,7 @@ def evaluate_planners(
         csv: write the table to a file
         json: write the table as a list of rows
         figure: draw cost ratio against expansions on the hard problems
-        weights: file of a path predictor or Neural A* (default: the one that ships)
+        weights: file of a path predictor or Neural A* (default: the pretrained one)
     """
     check_outputs(save, csv, json, figure)
     movement = Movement(connectivity, corner_cutting, diagonal_cost)
@@ -172,7 +172,7 @@ def evaluate_samplers(
         csv: write the table to a file
         json: write the table as a list of rows
         figure: draw success against the number of vertices
-        weights: folder of the trained samplers (default: those that ship)
+        weights: folder of the trained samplers (default: the pretrained ones)
     """
     from .lego.comparison import SIZES, compare, contenders, plot_success, to_text
 

@@ -1,4 +1,4 @@
-"""The layers of the sample models: a network whose features of a cell depend on cells near and far.
+"""The layers of the models: a network whose features of a cell depend on cells near and far.
 
 `Trunk` works at several strides, as a U-Net does: a feature at stride 4 stands for 4 x 4 cells, so
 that a convolution there sees four times as far as on the cells themselves.

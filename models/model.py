@@ -1,4 +1,4 @@
-"""`Model`: what all sample models share, which is a step of training and files of weights."""
+"""`Model`: what all models share, which is a step of training and files of weights."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Tensors = dict[str, Tensor]
 """Tensors by name: the fields of a batch, or a loss and its parts."""
 
 WEIGHTS = Path(__file__).parent / "weights"
-"""The folder of the weights that ship."""
+"""The folder of the pretrained weights."""
 
 MAX_ARGUMENT = 1024
 """Largest number among the arguments of a saved model, such as the width or number of layers."""
@@ -54,7 +54,7 @@ def fast_precision() -> Literal["bf16-mixed", "32-true"]:
 
 
 class Model(pl.LightningModule, ABC):
-    """The base class of all sample models, which add a network and a loss.
+    """The base class of all models, which add a network and a loss.
 
     Their hyperparameters hold ``learning_rate``, the highest of the schedule. They train in 32 bits
     or in mixed precision ("bf16-mixed").
@@ -64,7 +64,7 @@ class Model(pl.LightningModule, ABC):
     optimizer_class: Callable[..., torch.optim.Optimizer] = Muon
 
     PRETRAINED: ClassVar[Mapping[str, str]] = {}
-    """The weights that ship: their files in `WEIGHTS`, by name; the first is the default."""
+    """The pretrained weights: their files in `WEIGHTS`, by name; the first is the default."""
 
     @abstractmethod
     def losses(self, batch: Any) -> Tensors:
@@ -170,7 +170,7 @@ class Model(pl.LightningModule, ABC):
 
     @classmethod
     def pretrained(cls: type[P], name: str | None = None) -> P:
-        """Return the model with weights that ship with mapdata, in evaluation mode.
+        """Return the model with pretrained weights, in evaluation mode.
 
         Args:
             name: one of ``PRETRAINED``; None takes the first.

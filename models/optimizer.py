@@ -1,4 +1,4 @@
-"""The optimizer of the sample models, Muon, and the schedule of its learning rate."""
+"""The optimizer of the models, Muon, and the schedule of its learning rate."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ unit:
     )
     model = PathPredictor(terrain=True)
 
-The weights that ship were trained without terrain, by
+The pretrained weights were trained without terrain, by
 
     OMP_NUM_THREADS=1 python -m mapdata.models.train path_predictor fit --weights FILE
 

@@ -46,7 +46,7 @@ that are planned on predicted costs, and the share of shortest ones among them.
 
 Samplers
 --------
-The weights that ship, in models/weights, were made by these commands. The heat maps learned from
+The pretrained weights, in models/weights, were made by these commands. The heat maps learned from
 six families of maps:
 
     T="python -m mapdata.models.train lego_sampler"
@@ -151,7 +151,7 @@ class TrainingCli(LightningCLI):
             "--start_from",
             type=str | None,
             help="file of weights to begin with, of the same network or of one with fewer layers "
-            "(path predictors that ship have --model.refinements 1)",
+            "(pretrained path predictors have --model.refinements 1)",
         )
         parser.add_argument(
             "--weights",

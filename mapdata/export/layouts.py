@@ -1,7 +1,7 @@
 """The file layouts of other repositories: names, shapes and dtypes of arrays, in one table.
 
 Each layout is read by the loader of its repository as that loader stands. A layout that is not
-here is a short program over ``mapdata export --format arrays`` (docs/coming_from.md).
+here is a short program over ``mapdata export --format arrays`` (docs/howto/coming_from.md).
 """
 
 from __future__ import annotations

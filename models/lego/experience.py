@@ -346,7 +346,7 @@ class FixedProblems(MapDataModule):
     """A `MapDataModule` whose problems are those of epoch 0 in every epoch, with their bank.
 
     ``setup("fit")`` mines the bank of the training problems, or reads it. The 12,000 problems of
-    64 x 64 cells from which the weights that ship were trained take ten minutes of one core, once.
+    64 x 64 cells from which the pretrained weights were trained take ten minutes of one core, once.
 
     Args:
         root, build, batch_size, num_workers, fields, problems, movement, sampling_seed, radius: as

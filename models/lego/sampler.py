@@ -15,14 +15,14 @@ Srinivasa, "LEGO: Leveraging Experience in Roadmap Generation for Sampling-Based
 2019) needs only the bottlenecks of paths, which a sparse roadmap cannot do without.
 ``targets="lego"`` takes them from the bank of experience of
 `mapdata.models.lego.experience.FixedProblems`, whose batches must have the fields
-``TRAINING_FIELDS``. The weights that ship were trained in this way, by the commands in train.py:
+``TRAINING_FIELDS``. The pretrained weights were trained in this way, by the commands in train.py:
 
     points = Heatmap.pretrained().sample(grid, start, goal, 25)
     roadmap = roadmap_between(grid, start, goal, points)  # of models/lego/roadmap.py
 
 This file reads from top to bottom: what the network sees; targets, training and sampling, which all
 samplers share; the network, loss and prediction of the heat map. The layers, symmetries and the
-training step are those that all sample models share.
+training step are those that all models share.
 """
 
 from __future__ import annotations
