@@ -103,7 +103,7 @@ def check_problems(
     """Return one problem or B problems as new arrays.
 
     Args:
-        maps: (H, W) or (B, H, W), 0 free and anything else occupied.
+        maps: (H, W) or (B, H, W), 0 free and 1 occupied, of any dtype.
         starts: (2,) or (B, 2), cells.
         goals: (2,) or (B, 2), cells.
 
@@ -111,13 +111,20 @@ def check_problems(
         Maps (B, H, W) of 0 and 1, starts (B, 2) and goals (B, 2).
 
     Raises:
-        ValueError: a map without a free cell, a start or goal outside its map or on an occupied
-            cell, or not of integers.
+        ValueError: a map with other values than 0 and 1 or without a free cell; a start or goal
+            outside its map, on an occupied cell, or not of integers.
     """
     cells = np.asarray(maps)
-    grids = (cells != 0).astype(np.uint8).reshape(-1, *cells.shape[-2:])
+    is_occupied = cells == 1
+    is_neither = ~is_occupied & (cells != 0)
+    if is_neither.any():
+        value = cells[is_neither][0]
+        raise ValueError(f"map: got the value {value}, expected 0 free and 1 occupied only")
+    grids = is_occupied.astype(np.uint8).reshape(-1, *cells.shape[-2:])
     if grids.all(axis=(1, 2)).any():
-        raise ValueError(f"map: got one of {grids.shape[1:]} without a free cell")
+        raise ValueError(
+            f"map: got one of {grids.shape[1:]} without a free cell; 0 is free and 1 is occupied"
+        )
     return grids, _checked_ends("start", starts, grids), _checked_ends("goal", goals, grids)
 
 
@@ -135,9 +142,11 @@ def _checked_ends(name: str, ends: ArrayLike, grids: Bytes) -> Ints:
     inside_cells = np.where(is_inside, (row, column), 0)  # (2, B), where the map can be looked up
     is_free = is_inside & (grids[(np.arange(len(grids)), *inside_cells)] == 0)  # (B,)
     if not is_free.all():
-        wrong = cells[is_free.argmin()].tolist()
-        raise ValueError(
-            f"{name}: got {wrong}, outside its map or on an occupied cell, expected a free cell of "
-            f"a map of {grids.shape[1:]}"
+        k = is_free.argmin()
+        place = (
+            "on an occupied cell (0 is free, 1 is occupied)"
+            if is_inside[k]
+            else f"outside the map of {rows} x {columns} cells"
         )
+        raise ValueError(f"{name}: {tuple(cells[k].tolist())} is {place}")
     return cells

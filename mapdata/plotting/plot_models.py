@@ -107,18 +107,19 @@ def plot_sample(sample: tuple[Any, ...], axes: Axes | None = None) -> Axes:
 def plot_prediction(
     occupancy: ArrayLike,
     predicted: ArrayLike,
-    truth: ArrayLike,
+    truth: ArrayLike | None = None,
     axes: Axes | None = None,
     *,
     scores: ArrayLike | None = None,
 ) -> Axes:
-    """Draw a predicted and a true path, and a cross on each predicted cell that is occupied.
+    """Draw a predicted path beside a true one, and a cross on each predicted cell that is occupied.
 
     Args:
         occupancy: (H, W), 0 free and 1 occupied.
         predicted: (k, 2) cells (row, col) of the predicted path, (0, 2) without a path; rows of -1,
             padding, are left out.
-        truth: (m, 2) cells of the true path, in the same form.
+        truth: (m, 2) cells of the true path, in the same form; without it, only the predicted path
+            is drawn.
         axes: where to draw; default a new figure.
         scores: (H, W), scores of the model for each cell, drawn as a shade; high is dark.
     """
@@ -126,10 +127,14 @@ def plot_prediction(
     axes = plot_grid(grid, axes)
     if scores is not None:
         axes.imshow(scores, cmap="Purples", alpha=0.6 * (grid == 0), interpolation="nearest")
-    true_path = _without_padding(truth)
     path = _without_padding(predicted)
-    plot_cells(axes, true_path, COLOURS["astar"], _path_label("true", true_path), lane=-1)
-    plot_cells(axes, path, COLOURS["predicted"], _path_label("predicted", path), lane=1)
+    true_path = path[:0]
+    if truth is not None:
+        true_path = _without_padding(truth)
+        plot_cells(axes, true_path, COLOURS["astar"], _path_label("true", true_path), lane=-1)
+    # Beside a true path, the predicted one is moved aside, so that both can be seen.
+    lane = 0 if truth is None else 1
+    plot_cells(axes, path, COLOURS["predicted"], _path_label("predicted", path), lane=lane)
     is_inside = ((path >= 0) & (path < grid.shape)).all(axis=1)
     inside = path[is_inside]
     collisions = inside[grid[inside[:, 0], inside[:, 1]] == 1]
@@ -146,7 +151,7 @@ def plot_prediction(
     path_with_ends = true_path if len(true_path) else path
     if len(path_with_ends):
         plot_ends(path_with_ends[0], path_with_ends[-1], axes)
-    put_header(axes, "predicted and true path")
+    put_header(axes, "predicted path" if truth is None else "predicted and true path")
     return axes
 
 

@@ -372,9 +372,21 @@ def test_start_at_the_goal_and_walls() -> None:
         assert plan.expansions == astar(grid, (0, 0), (8, 8), Movement(8)).iterations == 36
         with pytest.raises(ValueError, match=r"start: got .*0\.9, .*expected whole numbers"):
             planner.plan(grid, (0.9, 0), (8, 8))  # type: ignore[arg-type]
-        for start in ((0, 4), (-1, 0), (9, 0)):
-            with pytest.raises(ValueError, match="outside its map or on an occupied cell"):
+        with pytest.raises(ValueError, match=r"start: \(0, 4\) is on an occupied cell"):
+            planner.plan(grid, (0, 4), (8, 8))
+        for start in ((-1, 0), (9, 0)):
+            with pytest.raises(ValueError, match="is outside the map of 9 x 9 cells"):
                 planner.plan(grid, start, (8, 8))
+
+
+@pytest.mark.parametrize("value", [255, 3, -1, 0.3, np.nan])
+def test_a_map_of_other_values_than_0_and_1_is_refused(value: float) -> None:
+    """A picture of 0 and 255 is no map: its white cells would pass as occupied."""
+    model = PathPredictor(widths=(8, 8), passes=1)
+    grid = np.zeros((9, 9))
+    grid[4, 4] = value
+    with pytest.raises(ValueError, match=f"map: got the value {value}"):
+        model.predict_path(grid, (0, 0), (8, 8))
 
 
 TERRAIN_FIELDS = ("terrain", "path", "path_mask", *TRAINING_FIELDS)

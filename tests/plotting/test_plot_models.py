@@ -145,6 +145,20 @@ def test_a_prediction_is_drawn_with_the_true_path_and_marks_collisions() -> None
     plot_prediction(grid, np.empty((0, 2)), np.empty((0, 2)))
 
 
+def test_a_prediction_is_drawn_without_a_true_path() -> None:
+    """The path lies on the middles of its cells, and nothing is drawn or named as true."""
+    grid = np.zeros((6, 8), np.uint8)
+    predicted = np.array([[2, 1], [1, 1], [1, 2]])
+    axes = plot_prediction(grid, predicted)
+    assert_lines(drawn(axes, COLOURS["predicted"]), [predicted])
+    assert not drawn(axes, COLOURS["astar"])
+    assert ends_of(axes) == {"S": (2, 1), "G": (1, 2)}
+    assert axes.get_title() == "predicted path"
+    legend = axes.get_legend()
+    assert legend is not None
+    assert "true" not in str([text.get_text() for text in legend.get_texts()])
+
+
 def test_roadmap_shows_samples_edges_and_path() -> None:
     """Vertices, edges and the path are drawn at their points."""
     grid = np.zeros((6, 8), np.uint8)
