@@ -168,7 +168,9 @@ def add_import_flags(parser: argparse.ArgumentParser) -> None:
     from mapdata.options import options_of
 
     formats = functions_by_format("read")
-    parser.add_argument("--format", choices=formats, help="format of SRC (default: the one of its files)")
+    parser.add_argument(
+        "--format", choices=formats, help="format of SRC (default: recognised by its files)"
+    )
     options = options_of(import_maps)
     for name in _IMPORT_OPTIONS:
         add_flag(parser, name, options[name], options[name].default)
