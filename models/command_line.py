@@ -1,4 +1,4 @@
-"""What the command lines of the models share: the first word says what to run."""
+"""Shared code of the command lines of the models: the first argument names the command."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mapdata.checks import check_choice
 from mapdata.cli import complain
 
 Command = Callable[[list[str] | None], object]
-"""What a first word runs, with the arguments after it; None takes those of the process."""
+"""A command, called with the arguments after its name; None takes those of the process."""
 
 
 def run_named_command(
@@ -49,4 +49,4 @@ def run_named_command(
     except KeyError as error:
         if error.args != ("pytorch-lightning_version",):
             raise
-        sys.exit(complain("--ckpt_path: the file is no checkpoint of a training", 2))
+        sys.exit(complain("--ckpt_path: the file is not a checkpoint of a training run", 2))

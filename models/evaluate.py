@@ -2,8 +2,8 @@
 
 NAME is one of
 
-    planners    classical planners, and those that follow a network
-    samplers    samplers of roadmaps, which need scipy
+    planners    classical planners, and planners that use a network
+    samplers    samplers of roadmaps (they need scipy)
 
 For example:
 
@@ -14,13 +14,13 @@ For example:
 In a checkout scripts/evaluate_planners.py and scripts/evaluate_sampler.py take the same arguments,
 without the name.
 
-The pretrained path predictors are among the planners: there are weights for 4 moves, and for 8
-moves whose diagonals cost sqrt(2), with and without --corner-cutting. For another movement, name
-weights of your own with --weights.
+The planners include pretrained path predictors for 4-connected movement, and for 8-connected
+movement whose diagonal moves cost sqrt(2), with and without --corner-cutting. For another movement,
+name your own weights with --weights.
 
-The trained samplers in models/weights are among the samplers: lego_*.pt and shortest_path_*.pt.
-Roadmaps have n vertices in all. Half of them are Halton's, except in the rows halton and uniform,
-and in those whose names end in _alone.
+The samplers include the pretrained ones in models/weights: lego_*.pt and shortest_path_*.pt. A
+roadmap has n vertices in all. Half of them are Halton points, except in the rows halton and
+uniform, and in the rows whose names end in _alone.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def evaluate_planners(
     figure: str | None = None,
     weights: str | None = None,
 ) -> None:
-    """Compare planners on one problem a map, or on problems that others made.
+    """Compare planners on one problem per map, or on the problems of a file.
 
     Examples:
       python -m mapdata.models.evaluate planners --preset dungeon --maps 600 --seed 77
@@ -84,25 +84,25 @@ def evaluate_planners(
       python -m mapdata.models.evaluate planners --preset tiles --corner-cutting --diagonal-cost 1
 
     Args:
-        root: in place of --preset: datasets, of which the test split is taken; or a file, which is
-            a MovingAI .scen, an .npz of planning-datasets or of a tile-based set, a
-            _vertex_weights.npy of a Warcraft set, or one of --save
+        root: in place of --preset: datasets, whose test split is used; or a file with problems: a
+            MovingAI .scen, an .npz of planning-datasets or of a tile-based set, a
+            _vertex_weights.npy of a Warcraft set, or a file that --save wrote
         preset: a preset that 'mapdata list' describes, such as terrain or tiles, or a recipe, as a
             file or JSON text (default: dungeon)
-        seed: 64-bit seed of maps and problems (default: 77, or the recipe's), or of the starts of
-            planning-datasets
-        maps: how many maps (default: 600, or the recipe's; of a dataset, all), or at most how many
-            problems of a .scen, evenly spread over it (default: all)
-        until_hard: stop at the map with this many hard problems
-        connectivity: moves
-        corner_cutting: diagonal moves beside occupied cells too
-        diagonal_cost: of diagonal moves: 1 or sqrt 2
+        seed: 64-bit seed of maps and problems (default: that of the recipe, or 77); for
+            planning-datasets, the seed of the starts
+        maps: number of maps (default: that of the recipe, or 600; of a dataset, all); for a .scen,
+            the largest number of its problems, evenly spread over the file (default: all)
+        until_hard: stop after the map with which there are this many hard problems
+        connectivity: 4-connected or 8-connected movement
+        corner_cutting: allow diagonal moves beside occupied cells
+        diagonal_cost: cost of a diagonal move: 1 or sqrt(2)
         baseline: name of the row whose expansions count as 1 (default: mapdata's A*)
-        save: write the problems to an .npz, which takes the place of a dataset another time
-        csv: write the table to a file
-        json: write the table as a list of rows
-        figure: draw cost ratio against expansions on the hard problems
-        weights: file of a path predictor or Neural A* (default: the pretrained one)
+        save: write the problems to an .npz file, which can be given as ROOT later
+        csv: write the table to a CSV file
+        json: write the table to a JSON file, as a list of rows
+        figure: draw cost ratio against expansions on the hard problems to this file
+        weights: file of a path predictor or Neural A* (default: the pretrained path predictor)
     """
     check_outputs(save, csv, json, figure)
     movement = Movement(connectivity, corner_cutting, diagonal_cost)
@@ -156,7 +156,7 @@ def evaluate_samplers(
     figure: str | None = None,
     weights: str | None = None,
 ) -> None:
-    """Compare samplers of roadmaps on one problem a map: of new maps, or of a dataset's test split.
+    """Compare samplers of roadmaps on one problem per map: new maps, or the test split of datasets.
 
     Examples:
       python -m mapdata.models.evaluate samplers --preset dungeon --maps 1000 --seed 77
@@ -164,15 +164,15 @@ def evaluate_samplers(
 
     Args:
         root: datasets, in place of --preset and --seed
-        preset: a preset that 'mapdata list' describes, but for terrain and tiles, or a recipe, as a
-            file or JSON text (default: dungeon)
-        seed: 64-bit seed of maps and problems (default: 77, or the recipe's)
-        maps: how many maps (default: 1000, or the recipe's; of a dataset, all)
-        sizes: numbers of vertices (default: 24 50 100)
-        csv: write the table to a file
-        json: write the table as a list of rows
-        figure: draw success against the number of vertices
-        weights: folder of the trained samplers (default: the pretrained ones)
+        preset: a preset that 'mapdata list' describes, except terrain and tiles, or a recipe, as
+            a file or JSON text (default: dungeon)
+        seed: 64-bit seed of maps and problems (default: that of the recipe, or 77)
+        maps: number of maps (default: that of the recipe, or 1000; of a dataset, all)
+        sizes: numbers of vertices of the roadmaps (default: 24 50 100)
+        csv: write the table to a CSV file
+        json: write the table to a JSON file, as a list of rows
+        figure: draw success against the number of vertices to this file
+        weights: folder of trained samplers (default: the pretrained ones)
     """
     from .lego.comparison import SIZES, compare, contenders, plot_success, to_text
 

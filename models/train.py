@@ -1,13 +1,13 @@
-r"""Train a sample model: python -m mapdata.models.train NAME fit --weights FILE.
+r"""Train a model: python -m mapdata.models.train NAME fit --weights FILE.
 
 NAME is one of
 
     path_predictor          the planner of docs/planners.md
-    refine_path_predictor   the last 1,000 steps of its training, for a network with --start_from
+    refine_path_predictor   the last 1,000 steps of its training, which begin with --start_from
     lego_sampler            the sampler of docs/samplers.md
-    cost_predictor          the model of docs/costs.md, which reads costs from images
+    cost_predictor          the model of docs/costs.md, which predicts costs from images
 
-All arguments are in configs/NAME.yaml beside this file, and all of them are flags, too:
+The default arguments are in configs/NAME.yaml beside this file. Each of them is also a flag:
 
     python -m mapdata.models.train path_predictor fit --help
 
@@ -16,38 +16,38 @@ and scripts/train_lego_sampler.py take the same arguments, without the name.
 
 Path predictors
 ---------------
-There is a checkpoint after every validation and every three minutes, from which an interrupted run
-can be resumed. The progress bar shows the minutes left, and val_opt and val_hmean: the metrics of
-the search on the validation problems that are hard and of 10 cells or more, as in the tables.
-Further flags after fit:
+A checkpoint is written after every validation and every three minutes. An interrupted run can be
+resumed from it. The progress bar shows the remaining minutes, and val_opt and val_hmean. These are
+the metrics of the tables (Opt and Hmean), for the hard validation problems of 10 cells or more.
+These flags can follow fit:
 
     --ckpt_path FILE
-        Resume an interrupted run from a checkpoint. A finished run cannot be given more steps,
-        since its learning rate has fallen to its end: begin a new one from its weights, with
+        Resume an interrupted run from a checkpoint. A finished run cannot be continued, because
+        its learning rate has reached its final value. Start a new run from its weights with
         --start_from.
     --trainer.accelerator gpu --trainer.precision bf16-mixed
         Train on a GPU.
     --trainer.precision 32-true
-        Train in 32 bits. The default is the precision that is faster on this processor
+        Train in 32 bits. The default is the faster precision on this processor
         (`mapdata.models.fast_precision`).
     --model.connectivity 4
-        Move in four directions. The data follow the model.
+        Train on 4-connected movement. The data get the movement of the model.
     --data mapdata.MapDataModule --data.root ROOT ...
-        Train on a dataset on disk, such as imported maps. Its fields are map, start, goal and path,
-        unless --data.fields asks for richer ones.
+        Train on a dataset on disk, such as imported maps. The fields are map, start, goal and path;
+        --data.fields selects others.
     --model NeuralAstar
-        Train another model. Learning rate, moves and fields must be given, too, because those of
-        the YAML file are for the path predictor; docs/planner_tables.md has the command.
+        Train another model. Also set the learning rate, the movement and the fields, because those
+        of the YAML file are for the path predictor; docs/planner_tables.md has the command.
 
 Models of costs
 ---------------
-The progress bar shows val_regret and val_opt: how much more than the shortest paths the paths cost
-that are planned on predicted costs, and the share of shortest ones among them.
+Paths are planned on predicted costs. The progress bar shows val_regret, their cost on the true
+terrain relative to the optimal cost, minus 1, and val_opt, the share of optimal paths.
 
 Samplers
 --------
-The pretrained weights, in models/weights, were made by these commands. The heat maps learned from
-six families of maps:
+These commands trained the pretrained weights in models/weights. The heat maps were trained on six
+families of maps:
 
     T="python -m mapdata.models.train lego_sampler"
     for family in dungeon narrow cave forest noise; do
@@ -67,14 +67,15 @@ six families of maps:
         --trainer.val_check_interval 5000 --trainer.limit_val_batches 2
 
 Another --model keeps the arguments that both models have, such as the learning rate of the heat
-map; so the command of the CVAE names its own.
+map. So the command of the CVAE sets its own learning rate.
 
-Before the first step a bank of experience is mined into the folder --data.experience, by default
-runs/experience, and the next training on the same maps reads it from there. Mining takes 10 minutes
-of one core for the six families. A training step of a heat map takes 0.14 s of one core, so 7,000
-steps take 16 minutes, or 10 minutes of two cores; a step of a CVAE takes 0.07 s.
+Before the first step, experience (LEGO's training data) is computed and stored in the folder
+--data.experience, by default runs/experience. The next training on the same maps reads it from
+there. Computing it takes 10 minutes of one core for the six families. A training step of a heat map
+takes 0.14 s of one core, so 7,000 steps take 16 minutes, or 10 minutes of two cores. A step of a
+CVAE takes 0.07 s.
 
-Training on paths alone needs no bank:
+Training on paths alone needs no experience:
 
     $T fit --model.targets path --data.experience null --data.fields "[map,start,goal,path]"
 """
@@ -131,7 +132,7 @@ class TrainingCli(LightningCLI):
         """
         files = [str(CONFIGS / name) for name in configs]
         with (
-            stoppable("stopped; fit --ckpt_path FILE goes on from a checkpoint"),
+            stoppable("stopped; fit --ckpt_path FILE continues from a checkpoint"),
             refusals_in_one_line(),
         ):
             super().__init__(
@@ -150,13 +151,13 @@ class TrainingCli(LightningCLI):
         parser.add_argument(
             "--start_from",
             type=str | None,
-            help="file of weights to begin with, of the same network or of one with fewer layers "
+            help="file of initial weights, of the same network or of one with fewer layers "
             "(pretrained path predictors have --model.refinements 1)",
         )
         parser.add_argument(
             "--weights",
             type=str | None,
-            help="file for the weights after the last step",
+            help="file to which the weights are written after the last step",
         )
 
     def before_instantiate_classes(self) -> None:

@@ -43,7 +43,7 @@ def build_command(
     scheduler: str | None = None,
     part: str = "0/1",
 ) -> None:
-    """Make maps with all labels as shards; run it again to continue, or to extend with more --maps.
+    """Build a dataset with all labels; run it again to continue, or with more --maps to extend it.
 
     Examples:
       mapdata build data/maps
@@ -54,16 +54,17 @@ def build_command(
 
     Args:
         root: folder of the dataset
-        maps: number of maps (default: 10000, or that of the recipe)
-        seed: 64-bit seed (default: 0, or that of the recipe)
+        maps: number of maps (default: that of the recipe, or 10000)
+        seed: 64-bit seed of the maps (default: that of the recipe, or 0)
         preset: paper, narrow, dungeon, dungeon128, maze, maze15, maze30, cave, forest, noise,
             terrain or tiles (default: paper); 'mapdata list' describes them
-        map_size: rows and columns of a map instead of those of the preset
-        recipe: a file that 'mapdata info ROOT --recipe' wrote, such JSON text, or a preset's name
-        shard_size: maps a shard
-        workers: threads (default: all cores)
-        scheduler: build with Dask: tcp://HOST:PORT of a scheduler
-        part: K/N makes only part K of N (K from 0 to N - 1), for array jobs on a shared folder
+        map_size: rows and columns of a map (default: those of the preset)
+        recipe: file that 'mapdata info ROOT --recipe' wrote, JSON text of a recipe, or a preset's
+            name
+        shard_size: number of maps per shard
+        workers: number of threads (default: one per core)
+        scheduler: build with Dask; address of its scheduler, tcp://HOST:PORT
+        part: K/N builds only part K of N (K from 0 to N - 1), for array jobs on a shared folder
     """
     from mapdata.generators import PRESETS, MapGenerator, as_recipe
     from mapdata.shards import build
@@ -80,7 +81,7 @@ def build_command(
     else:
         if preset is None and root in PRESETS:
             print(
-                f"note: {root} is taken for the folder, and the maps are those of the preset "
+                f"note: {root} is the folder of the dataset, and the maps are those of the preset "
                 f"paper; 'mapdata build FOLDER --preset {root}' builds the preset {root}"
             )
         generator = MapGenerator.preset(preset or "paper")
@@ -106,7 +107,7 @@ def build_command(
 def info_command(
     root: list[str], *, recipe: bool = False, card: Literal[True] | str | None = None
 ) -> None:
-    """Print counts, shares and hashes of a dataset, or write its card.
+    """Print counts, shares and hashes of a dataset, print its recipe, or write its card.
 
     Examples:
       mapdata info data/maps
@@ -114,9 +115,9 @@ def info_command(
       mapdata info data/maps --card
 
     Args:
-        root: folder or URL of the dataset; maps of several are numbered one after another
-        recipe: print the recipe, a few lines of JSON that make the dataset again
-        card: write the dataset card (default: README.md in ROOT)
+        root: folder or URL of a dataset; maps of several datasets are numbered one after another
+        recipe: print the recipe: a few lines of JSON from which the dataset can be built again
+        card: write the dataset card to this file (default: README.md in ROOT)
     """
     from mapdata.describe import card as card_of
     from mapdata.shards import Root, write_file, write_output
@@ -130,7 +131,7 @@ def info_command(
             print(manifest.recipe() if recipe else summary(folder, manifest))
         return
     if card is True and len(root) > 1:
-        raise ValueError("--card: say the FILE for a card of several datasets")
+        raise ValueError("--card: got several datasets; name the file, as in --card FILE")
     path = target_folder(root[0]) / "README.md" if card is True else local_path(card)
     # A README.md in the dataset is replaced even if it is a link, which a stranger may have placed
     # there. A file that the user names is written through links and pipes.
@@ -140,15 +141,15 @@ def info_command(
 
 
 def verify_command(root: list[str], *, repair: bool = False) -> None:
-    """Check every file of a dataset; exit code 1 if one is damaged.
+    """Check every file of a dataset; exit with code 1 if a file is damaged.
 
     Examples:
       mapdata verify data/maps
       mapdata verify data/maps --repair
 
     Args:
-        root: folder or URL of the dataset; maps of several are numbered one after another
-        repair: make damaged and missing shards again from the recipe
+        root: folder or URL of a dataset; maps of several datasets are numbered one after another
+        repair: build damaged and missing shards again from the recipe
     """
     from mapdata.shards.corruption import inspect, repair_faults
     from mapdata.shards.locations import locations, target_folder
@@ -173,7 +174,7 @@ def verify_command(root: list[str], *, repair: bool = False) -> None:
         fault_count += len(faults)
         unrepaired_count += len(unrepaired)
         if not faults:
-            print(f"{dataset}: all is well")
+            print(f"{dataset}: no faults found")
         elif not unrepaired:
             print(f"{dataset}: {len(faults)} repaired")
         if findings.unchecked:
@@ -183,7 +184,7 @@ def verify_command(root: list[str], *, repair: bool = False) -> None:
         raise DisagreeError(f"{unrepaired_count} of {fault_count} not repaired")
     if unrepaired_count:
         raise DisagreeError(
-            f"{fault_count} faults found; --repair makes shards again where there is a recipe"
+            f"{fault_count} faults found; --repair builds shards again if there is a recipe"
             f"{requirement}"
         )
 
@@ -196,19 +197,19 @@ def show_command(
     paper_colours: bool = False,
     figure: Literal["map", "gallery", "path", "matrix", "distributions"] = "map",
 ) -> None:
-    """Draw one map with both paths and its numbered seed points, or another figure.
+    """Draw one map with both routes and its numbered seed points, or another figure.
 
     Examples:
       mapdata show data/maps --index 7 -o map7.png
       mapdata show data/maps --figure gallery -o gallery.png
 
     Args:
-        root: folder or URL of the dataset; maps of several are numbered one after another
+        root: folder or URL of a dataset; maps of several datasets are numbered one after another
         index: number of the map (default: 0)
-        output: picture; a file of this name is replaced (default: map.png, and where that exists
-            map-2.png and so on)
-        paper_colours: free black and occupied white
-        figure: what to draw
+        output: picture to write; an existing file is replaced (default: map.png; if it exists,
+            map-2.png, and so on)
+        paper_colours: draw free cells black and occupied cells white, as in the paper
+        figure: figure to draw
     """
     from mapdata.plotting.figures import SINGLE_MAP_FIGURES, WITH_GRID, plot_figure
     from mapdata.shards.locations import local_path
@@ -234,15 +235,15 @@ def show_command(
 
 
 def report_command(root: list[str], *, output: str | None = None, maps: int = 500) -> None:
-    """Write a page to browse a dataset: maps with filters, distributions, the card.
+    """Write an HTML page to browse a dataset: maps with filters, distributions, the card.
 
     Examples:
       mapdata report data/maps -o report.html
 
     Args:
-        root: folder or URL of the dataset; maps of several are numbered one after another
-        output: page; a file of this name is replaced (default: report.html, and where that exists
-            report-2.html and so on)
+        root: folder or URL of a dataset; maps of several datasets are numbered one after another
+        output: page to write; an existing file is replaced (default: report.html; if it exists,
+            report-2.html, and so on)
         maps: number of maps on the page
     """
     from mapdata.plotting.html_report import report
@@ -260,7 +261,7 @@ def report_command(root: list[str], *, output: str | None = None, maps: int = 50
 def list_command() -> None:
     """List the presets of 'mapdata build --preset', with their sizes and parameters.
 
-    The parameters are written as in the spec of a --recipe.
+    The parameters have the names that they have in the spec of a recipe.
 
     Examples:
       mapdata list
@@ -344,9 +345,10 @@ def print_verbs() -> None:
     )
     print(
         "usage: mapdata VERB ...\n\n"
-        "Grid maps with shortest paths, to train path planners on.\n\n"
+        "Build, check, show and convert datasets of grid maps with shortest paths.\n\n"
         f"{verbs}\n\n"
-        "'mapdata VERB --help' shows its flags and examples, 'mapdata --version' the version."
+        "'mapdata VERB --help' prints the flags and examples of a verb.\n"
+        "'mapdata --version' prints the version."
     )
 
 

@@ -44,7 +44,7 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
         lines["terrain"] = TERRAIN_RULE
     if seconds is not None:
         lines["rate"] = f"{seconds:.1f} s, {done / seconds:,.0f} maps/s"
-    lines["size"] = f"{size / 1e6:,.1f} MB, {size / max(done, 1):.0f} bytes a map"
+    lines["size"] = f"{size / 1e6:,.1f} MB, {size / max(done, 1):.0f} bytes per map"
     drawn = manifest.total("drawn")
     if drawn:  # mazes and imported maps have no passages
         lines["drawn passages"] = f"{drawn / segments:.1%}"
@@ -239,8 +239,8 @@ def add_import_flag(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="MODULE",
-        help="import a Python module first, for example with your own family of maps; it may be in "
-        "the working folder",
+        help="first import a Python module, such as one that defines your own family of maps; it "
+        "may be a file in the working folder",
     )
 
 

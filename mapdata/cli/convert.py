@@ -30,7 +30,7 @@ def import_command(
     max_pixels: int = 2**24,
     **options: Any,
 ) -> None:
-    """Make a dataset of maps in a foreign format, with drawn seed points and all labels.
+    """Make a dataset from maps in a foreign format, with seed points and all labels.
 
     Examples:
       mapdata import plans/ data/plans --seed-points 6
@@ -39,12 +39,12 @@ def import_command(
       mapdata import warcraft/12x12 data/warcraft
 
     Args:
-        src: file or folder
-        root: folder of the dataset; with maps of several sizes, one below it for each
-        connectivity: how paths move (default: the format's rule, else 4)
-        corner_cutting: diagonal moves beside occupied cells too
-        diagonal_cost: 1 or 1.41421356
-        max_pixels: refuse larger pictures and maps
+        src: file or folder with the maps
+        root: folder of the dataset; if maps have several sizes, each size gets a folder below it
+        connectivity: 4-connected or 8-connected movement (default: the rule of the format, or 4)
+        corner_cutting: allow diagonal moves beside occupied cells
+        diagonal_cost: cost of a diagonal move: 1 or 1.41421356
+        max_pixels: largest number of pixels or cells of a map; larger maps are refused
         **options: those of `import_maps` and of the formats
     """
     from mapdata.checks import check_count
@@ -106,7 +106,7 @@ def movement_of_flags(
 
     if connectivity is None:
         if corner_cutting or diagonal_cost is not None:
-            raise ValueError("--corner-cutting and --diagonal-cost: say --connectivity 8 too")
+            raise ValueError("--corner-cutting and --diagonal-cost: need --connectivity 8")
         return None
     if diagonal_cost is None:
         return Movement(connectivity, corner_cutting)
@@ -114,17 +114,17 @@ def movement_of_flags(
 
 
 def check_scen_command(file: list[str], *, maps: str | None = None) -> None:
-    """Solve the problems of .scen files; exit code 1 if a published length differs from ours.
+    """Solve the problems of .scen files; exit with code 1 if a published length is not optimal.
 
-    A file whose lengths are all 0 gives none, so there is nothing to compare. A file that cannot be
-    read does not end the run: it is named at the end, and the exit code is 2.
+    If all lengths of a file are 0, it states no lengths, and none are compared. A file that cannot
+    be read does not stop the command: the error is printed at the end, and the exit code is 2.
 
     Examples:
       mapdata check-scen arena.map.scen --maps maps/
 
     Args:
         file: .scen files
-        maps: folder of the maps (default: beside each .scen)
+        maps: folder of the maps (default: the folder of each .scen file)
     """
     from mapdata.formats import FormatError, Limits
     from mapdata.formats.movingai import check_scen
@@ -168,7 +168,9 @@ def add_import_flags(parser: argparse.ArgumentParser) -> None:
     from mapdata.options import options_of
 
     formats = functions_by_format("read")
-    parser.add_argument("--format", choices=formats, help="default: recognised by the files")
+    parser.add_argument(
+        "--format", choices=formats, help="format of SRC (default: recognised by its files)"
+    )
     options = options_of(import_maps)
     for name in _IMPORT_OPTIONS:
         add_flag(parser, name, options[name], options[name].default)

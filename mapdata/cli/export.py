@@ -35,10 +35,11 @@ def export_command(
 ) -> None:
     """Write training problems, or maps with their stored routes, for other programs.
 
-    Formats of problems: arrays (one .npy for each split and field), parquet (one row for each
-    problem, for Hugging Face datasets), maze-hard (text), and the files that the loaders of
-    transpath, gppn, vin, hrm (also TRM) and warcraft (also PyEPO) read. Formats of maps: paper,
-    movingai, ros and planning-datasets. Maps with terrain go to arrays, parquet and warcraft.
+    The formats of problems are arrays (one .npy for each split and field), parquet (one row for
+    each problem, for Hugging Face datasets), maze-hard (text), and transpath, gppn, vin, hrm (also
+    for TRM) and warcraft (also for PyEPO), whose files the loaders of these projects read. The
+    formats of maps are paper, movingai, ros and planning-datasets. Only arrays, parquet and
+    warcraft accept maps with terrain.
 
     Examples:
       mapdata export maze data/hrm --format hrm --length 111: --count 1000
@@ -50,24 +51,26 @@ def export_command(
     Args:
         source: folder or URL of a dataset, or several; for problems also a preset or a recipe
         target: new folder; for planning-datasets a new .npz file
-        fields: names, separated by commas (default: map,start,goal,path,cost)
+        fields: names of fields, separated by commas (default: map,start,goal,path,cost)
         split: export only this split
-        count: problems of each split (default: all; of a preset, one on each of its 10,000 maps)
-        problems: route, pairs or random, or JSON (default: route, or what the layout's repository
-            draws; random with a band)
-        distance: costs of random problems, in cells, as MIN:MAX; either may be left out
-        hardness: cost over heuristic of random problems, as MIN:MAX
-        length: cells of the path of random problems, as MIN:MAX
-        search: which shortest path
-        connectivity: how paths move (default: as stored, or the rule of the layout's repository)
+        count: number of problems of each split (default: all; for a preset, one on each of its
+            10,000 maps)
+        problems: route, pairs or random, or JSON (default: the choice of the repository whose
+            layout is written, otherwise route; random with --distance, --hardness or --length)
+        distance: optimal cost of random problems, in cells, as MIN:MAX; either may be left out
+        hardness: optimal cost / heuristic of random problems, as MIN:MAX
+        length: number of cells of the path of random problems, as MIN:MAX
+        search: search whose shortest paths are written
+        connectivity: 4-connected or 8-connected movement (default: the rule of the repository whose
+            layout is written, otherwise the stored one)
         corner_cutting: allow diagonal moves beside occupied cells
-        diagonal_cost: 1 or 1.41421356
+        diagonal_cost: cost of a diagonal move: 1 or 1.41421356
         radius: radius of the robot, in metres
-        augment: turn and mirror the training samples at random
-        max_length: for arrays, pad paths to this many cells
+        augment: rotate and mirror the training samples at random
+        max_length: number of cells to which paths are padded; for arrays only
         seed: seed of the maps of a preset or recipe
         sampling_seed: seed of random problems and of --augment
-        licence: licence on the card of parquet, as the Hugging Face Hub spells it
+        licence: licence for the card of parquet, as the Hugging Face Hub spells it
         **options: those of the formats of maps
     """
     from mapdata.cli.convert import movement_of_flags, unprefixed_options
@@ -163,5 +166,5 @@ def add_export_flags(parser: argparse.ArgumentParser) -> None:
 
     formats = functions_by_format("write")
     names = [*PROBLEM_FORMATS, *(name for name in formats if name not in PROBLEM_FORMATS)]
-    parser.add_argument("--format", choices=names, required=True, help="what to write")
+    parser.add_argument("--format", choices=names, required=True, help="format to write")
     add_format_options(parser, formats)

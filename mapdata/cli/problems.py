@@ -47,7 +47,7 @@ def load_problems(
         return ProblemSet.sample(recipe, seed, maps, **sampling_options)
     is_file = len(root) == 1 and Path(root[0]).suffix.lower() in (".npy", ".npz", ".scen")
     if recipe is not None or (seed is not None and not is_file):
-        raise ValueError("preset, seed: would do nothing beside the root of a dataset")
+        raise ValueError("preset, seed: have no effect on problems of a dataset, leave them out")
     if not is_file:
         return ProblemSet.read(root, maps, **sampling_options)
     # A file that does not know one of these options refuses it, so only those in use are passed.

@@ -164,14 +164,14 @@ def read(
     Args:
         source: folder or file.
         limits: of what is read.
-        threshold: in [0, 1]: brightness above which a cell is free, probability above which it is
-            occupied.
-        invert: the other way round.
-        unknown: what the unknown cells of a robot's map without its .yaml become, those of grey
-            205; without it, such pictures are left out.
-        size: (rows, columns) that every map is brought to.
-        fit: how: resize scales (the mean brightness of the pixels in a cell decides), crop takes
-            the middle; default resize.
+        threshold: number in [0, 1]: in pictures, cells of a higher brightness are free; in arrays,
+            cells of a higher probability are occupied.
+        invert: exchange free and occupied cells.
+        unknown: state of unknown cells (grey 205) in a robot's map without its .yaml file; without
+            this option, such pictures are left out.
+        size: (rows, columns) of the maps; pictures of other sizes are resized or cropped.
+        fit: how maps get this size: resize scales them (a cell gets the mean brightness of its
+            pixels), crop takes their middle (default: resize).
 
     Raises:
         FormatError: nothing there. A bad file among others is left out, with the reason.

@@ -1,8 +1,8 @@
 """Importing grids from elsewhere as a dataset: drawing seed points, labelling, writing shards.
 
 The content is a function of (grids, seed, seed points per map, movement) alone: docs/format.md
-lists the draws of stream 5. An imported dataset has no recipe and no identity: compare content
-hashes instead.
+lists the draws of stream 5. An imported dataset has no recipe and no identity; its content hash
+identifies it.
 """
 
 from __future__ import annotations
@@ -109,17 +109,17 @@ def import_maps(
         root: folder, created if missing; empty, or written by the same import before (then only
             missing shards are written).
         source: the maps that a format has read.
-        seed_points: number of seed points of each map, drawn without repetition in its largest free
-            component; all cells of that component if it has fewer.
-        seed: 64-bit seed of these draws and of the splits.
+        seed_points: number of seed points of each map. Those that the source does not state are
+            drawn from the largest free component, each cell at most once.
+        seed: 64-bit seed of the drawn seed points and splits.
         movement: how the stored paths move; default the rule of the format, else 4-connected.
-        resolution: metres per cell, whatever the source says; default the source's, else 0.1. A
-            robot's map (ros) is resampled to it by the command; from Python `read_any` does it.
+        resolution: metres per cell, in place of that of the source (default: that of the source, or
+            0.1). The command resamples a robot's map (ros) to it; in Python, `read_any` does.
         splits: fractions of train, val and test, for maps whose split the source does not say.
-        tile: cut every grid into tiles of (rows, columns) from the upper left; the remainder at
-            the edges is dropped.
-        shard_size: maps per shard; default 1000, less for large maps.
-        drop_leaks: leave out maps that stand in a later split too, mirrored or turned or not.
+        tile: cut every grid into tiles of (rows, columns), from the upper left corner on; what
+            remains at the edges is dropped.
+        shard_size: number of maps per shard (default: 1000, or fewer for large maps).
+        drop_leaks: leave out maps that are also in a later split, as they are, mirrored or rotated.
         progress: show a progress bar.
 
     Raises:

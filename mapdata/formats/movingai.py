@@ -482,13 +482,13 @@ def read(
     Args:
         source: file or folder.
         limits: of what is read.
-        scen: take the end points of the problems in .scen files as seed points, in the order of
-            their first appearance, and only maps that a .scen names; always so if the source is a
+        scen: use the starts and goals of .scen files as seed points, in the order of their first
+            appearance, and read only maps that a .scen file names; always on if the source is a
             .scen file.
         maps: folder of the maps that .scen files name.
         seed_points: maximal number of these end points.
-        costs: costs of letters, such as {"S": 3, "W": 5}: the maps get terrain. Cells of these
-            letters are free, whatever the benchmark says of moves between them; other land costs 1.
+        costs: costs of letters, such as {"S": 3, "W": 5}, for maps with terrain. Cells of these
+            letters are free, whatever moves the benchmark allows between them; other land costs 1.
 
     Raises:
         ValueError: ``costs`` is no mapping of letters to costs from 1 to 255.

@@ -494,13 +494,13 @@ def read(
     Args:
         source: file or folder.
         limits: of what is read.
-        unknown: what unknown cells become; without it, maps with such cells are left out.
-        resolution: metres per cell that every map is resampled to; default its own.
-        resample: a resampled cell is occupied if any part of what it covers is, or if half of it
-            is (mean); default any.
-        costmap: the files are costmaps of Nav2, and the maps get terrain: costs 0 to 252, 253 and
-            254 occupied (raw), or, saved from the topic costmap, 0 to 98, 99 and 100 occupied
-            (scaled).
+        unknown: state of unknown cells; without this option, maps with unknown cells are left out.
+        resolution: metres per cell to which every map is resampled (default: its own).
+        resample: rule for a resampled cell: it is occupied if any part of its area is occupied
+            (any), or if half of its area is (mean) (default: any).
+        costmap: read costmaps of Nav2 as terrain. Raw costmaps have costs 0 to 252, and 253 and 254
+            are occupied. Scaled ones, saved from the topic costmap, have costs 0 to 98, and 99 and
+            100 are occupied.
     """
     if resolution is not None:
         resolution = check_resolution("resolution", resolution)
@@ -600,7 +600,7 @@ def write(
         target: folder.
         root: dataset.
         progress: show a progress bar.
-        image: kind of the pictures.
+        image: file format of the pictures.
 
     Returns:
         Notes for the user.

@@ -152,7 +152,7 @@ class Manifest(Origin):
             ValueError: imported maps have no recipe.
         """
         if self.generator is None:
-            raise ValueError("imported maps have no recipe: their identity is the content hash")
+            raise ValueError("imported maps have no recipe: share their files and content hash")
         recipe = {
             "format_version": self.format_version,
             "spec": self.generator.to_dict(),

@@ -174,7 +174,7 @@ def test_info_says_that_a_dataset_is_not_finished(run: Command, copied: Path) ->
 def test_verify_accepts_a_sound_dataset(run: Command, dataset: Path) -> None:
     """It prints one line, and the exit code is 0."""
     outcome = run("verify", dataset)
-    assert (outcome.code, outcome.out) == (0, f"{dataset}: all is well\n")
+    assert (outcome.code, outcome.out) == (0, f"{dataset}: no faults found\n")
 
 
 def test_verify_names_every_damaged_file(run: Command, copied: Path) -> None:
@@ -191,7 +191,7 @@ def test_verify_names_every_damaged_file(run: Command, copied: Path) -> None:
     ]
     assert (
         outcome.err.splitlines()[-1]
-        == "mapdata: 2 faults found; --repair makes shards again where there is a recipe"
+        == "mapdata: 2 faults found; --repair builds shards again if there is a recipe"
     )
 
 
@@ -257,7 +257,7 @@ def test_verify_works_without_stderr(dataset: Path) -> None:
     """A service may run without standard error; the bar is then not shown."""
     command = f"'{sys.executable}' -m mapdata verify '{dataset}' 2>&-"
     done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (0, f"{dataset}: all is well\n")
+    assert (done.returncode, done.stdout) == (0, f"{dataset}: no faults found\n")
 
 
 def test_a_card_that_is_a_link_is_replaced(run: Command, dataset: Path, tmp_path: Path) -> None:

@@ -508,7 +508,7 @@ def test_other_imported_maps_are_not_taken_for_a_repair(imported: Path, tmp_path
 def test_the_command_repairs(
     finished: Path, copied: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """verify: exit code 1 and a line a file; with --repair exit code 0, and all is well."""
+    """verify: exit code 1 and a line a file; with --repair exit code 0, and no faults are left."""
     (copied / shard_name(0, 4)).write_bytes(flipped(copied / shard_name(0, 4), "bfs_moves"))
     (copied / shard_name(8, 11)).unlink()
     with pytest.raises(SystemExit, match="1"):
@@ -520,4 +520,4 @@ def test_the_command_repairs(
     assert re.search(r"7/7 \[.*<.*maps/s\]", printed.err)  # maps, time left and rate of the repair
     assert images(copied) == images(finished)
     main(["verify", str(copied), "--repair"])
-    assert capsys.readouterr().out == f"{copied}: all is well\n"
+    assert capsys.readouterr().out == f"{copied}: no faults found\n"

@@ -252,13 +252,13 @@ def test_verify_says_what_it_could_not_check(
     """On a line of its own, which is no fault; in Python it is a warning."""
     assert exit_code("verify", "maps") == 0
     well, note = capsys.readouterr().out.splitlines()
-    assert well == "maps: all is well"
+    assert well == "maps: no faults found"
     why = f"maps: the parameters of its recipe were not checked, since {NOT_KNOWN}"
     assert re.fullmatch(f"note: {why}", note)
     with pytest.warns(UserWarning, match=f"^{why}$"):
         assert verify("maps") == []
     assert exit_code("verify", "maps", "--import", "pillars") == 0
-    assert capsys.readouterr().out == "maps: all is well\n"
+    assert capsys.readouterr().out == "maps: no faults found\n"
 
 
 def test_damage_is_found_and_repaired_where_the_family_is_known(
@@ -278,7 +278,7 @@ def test_damage_is_found_and_repaired_where_the_family_is_known(
         f"maps/{names[2]}: missing",
     ]
     assert error.splitlines()[-1] == (
-        "mapdata: 2 faults found; --repair makes shards again where there is a recipe and its "
+        "mapdata: 2 faults found; --repair builds shards again if there is a recipe and its "
         "family is known (--import MODULE)"
     )
     left = repair(root)
