@@ -151,7 +151,7 @@ class TrainingCli(LightningCLI):
         parser.add_argument(
             "--start_from",
             type=str | None,
-            help="file of initial weights, of the same network or of one with fewer layers "
+            help="file of weights to begin with, of the same network or of one with fewer layers "
             "(pretrained path predictors have --model.refinements 1)",
         )
         parser.add_argument(
