@@ -1,4 +1,4 @@
-"""Shared code of the command lines of the models: the first argument names the command."""
+"""What the command lines of the models share: the first word says what to run."""
 
 from __future__ import annotations
 

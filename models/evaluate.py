@@ -102,7 +102,7 @@ def evaluate_planners(
         csv: write the table to a CSV file
         json: write the table to a JSON file, as a list of rows
         figure: draw cost ratio against expansions on the hard problems to this file
-        weights: file of a path predictor or Neural A* (default: the pretrained path predictor)
+        weights: file of a path predictor or Neural A* (default: the pretrained one)
     """
     check_outputs(save, csv, json, figure)
     movement = Movement(connectivity, corner_cutting, diagonal_cost)
@@ -172,7 +172,7 @@ def evaluate_samplers(
         csv: write the table to a CSV file
         json: write the table to a JSON file, as a list of rows
         figure: draw success against the number of vertices to this file
-        weights: folder of trained samplers (default: the pretrained ones)
+        weights: folder of the trained samplers (default: the pretrained ones)
     """
     from .lego.comparison import SIZES, compare, contenders, plot_success, to_text
 

@@ -46,8 +46,8 @@ terrain relative to the optimal cost, minus 1, and val_opt, the share of optimal
 
 Samplers
 --------
-These commands trained the pretrained weights in models/weights. The heat maps were trained on six
-families of maps:
+The pretrained weights, in models/weights, were made by these commands. The heat maps learned from
+six families of maps:
 
     T="python -m mapdata.models.train lego_sampler"
     for family in dungeon narrow cave forest noise; do
@@ -151,7 +151,7 @@ class TrainingCli(LightningCLI):
         parser.add_argument(
             "--start_from",
             type=str | None,
-            help="file of initial weights, of the same network or of one with fewer layers "
+            help="file of weights to begin with, of the same network or of one with fewer layers "
             "(pretrained path predictors have --model.refinements 1)",
         )
         parser.add_argument(

@@ -1,8 +1,8 @@
 """Importing grids from elsewhere as a dataset: drawing seed points, labelling, writing shards.
 
 The content is a function of (grids, seed, seed points per map, movement) alone: docs/format.md
-lists the draws of stream 5. An imported dataset has no recipe and no identity; its content hash
-identifies it.
+lists the draws of stream 5. An imported dataset has no recipe and no identity: compare content
+hashes instead.
 """
 
 from __future__ import annotations
