@@ -178,7 +178,7 @@ def verify_command(root: list[str], *, repair: bool = False) -> None:
             print(f"{dataset}: {len(faults)} repaired")
         if findings.unchecked:
             print(f"note: {findings.unchecked}")
-            requirement = " and its family is known (--import MODULE)"
+            requirement = " and its maps can be drawn (see the note)"
     if unrepaired_count and repair:
         raise DisagreeError(f"{unrepaired_count} of {fault_count} not repaired")
     if unrepaired_count:
