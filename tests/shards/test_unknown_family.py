@@ -222,7 +222,8 @@ def test_verbs_that_read_need_no_family(root: Path, capsys: pytest.CaptureFixtur
     assert "not known" not in capsys.readouterr().out
     text = (root / "README.md").read_text(encoding="utf-8")
     assert "maps of the family pillars" in text
-    assert "needs --import with the module of the family pillars" in text
+    assert re.search("^mapdata build maps .* --import MODULE$", text, re.MULTILINE)
+    assert "Write the module that has the family pillars in place of MODULE." in text
 
 
 def test_the_command_imports_the_module_from_the_working_folder(
