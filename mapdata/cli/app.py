@@ -22,6 +22,7 @@ from mapdata.cli.common import (
     Parser,
     add_import_flag,
     complain,
+    output_path,
     parser_of,
     run,
     run_parsed,
@@ -112,15 +113,17 @@ def info_command(
       mapdata info data/maps
       mapdata info data/maps --recipe > recipe.json
       mapdata info data/maps --card
+      mapdata info data/maps --card -
 
     Args:
         root: folder or URL of the dataset; maps of several are numbered one after another
         recipe: print the recipe, a few lines of JSON that make the dataset again
-        card: write the dataset card (default: README.md in ROOT)
+        card: write the dataset card to this file, or print it if this is - (default: README.md in
+            ROOT)
     """
     from mapdata.describe import card as card_of
     from mapdata.shards import Root, write_file, write_output
-    from mapdata.shards.locations import local_path, target_folder
+    from mapdata.shards.locations import target_folder
 
     if recipe and card is not None:
         raise ValueError("--recipe: not allowed with --card")
@@ -131,7 +134,10 @@ def info_command(
         return
     if card is True and len(root) > 1:
         raise ValueError("--card: say the FILE for a card of several datasets")
-    path = target_folder(root[0]) / "README.md" if card is True else local_path(card)
+    if card == "-":
+        print(card_of(root, progress=True), end="")
+        return
+    path = target_folder(root[0]) / "README.md" if card is True else output_path(card)
     # A README.md in the dataset is replaced even if it is a link, which a stranger may have placed
     # there. A file that the user names is written through links and pipes.
     write = write_file if card is True else write_output
@@ -211,11 +217,10 @@ def show_command(
         figure: what to draw
     """
     from mapdata.plotting.figures import SINGLE_MAP_FIGURES, WITH_GRID, plot_figure
-    from mapdata.shards.locations import local_path
 
     if output is None:
         output = unused_name("map.png")
-    path = local_path(output)  # refuses a URL before the figure is drawn
+    path = output_path(output)
     if index is not None and figure not in SINGLE_MAP_FIGURES:
         raise ValueError(
             f"--index: does nothing with --figure {figure}, which shows the whole dataset"
@@ -247,11 +252,10 @@ def report_command(root: list[str], *, output: str | None = None, maps: int = 50
     """
     from mapdata.plotting.html_report import report
     from mapdata.shards import write_output
-    from mapdata.shards.locations import local_path
 
     if output is None:
         output = unused_name("report.html")
-    path = local_path(output)  # refuses a URL before the report is made
+    path = output_path(output)
     text = report(root, maps, progress=True).encode()
     write_output(path, text)
     print(f"wrote {output}, {len(text) / 1e3:,.0f} kB: open it in a browser")

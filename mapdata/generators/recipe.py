@@ -35,6 +35,9 @@ MAX_RECIPE_BYTES = 2**20
 _KEYS = ("content_hash", "format_version", "identity", "maps", "seed", "spec")
 """The keys of a recipe in JSON; each of them may be left out."""
 
+_EXAMPLE = '{"spec": "dungeon", "seed": 7, "maps": 500}'
+"""A recipe as JSON, for error messages."""
+
 
 @dataclass(frozen=True)
 class Recipe:
@@ -152,7 +155,7 @@ def _load(recipe: object) -> Recipe:
         return _from_file(recipe)
     raise ValueError(
         f"recipe: got {recipe!r}, expected a preset ({', '.join(PRESETS)}), the path of a recipe "
-        "file, JSON text, a mapping, a MapGenerator or a Recipe"
+        f"file, JSON text such as {_EXAMPLE}, a mapping, a MapGenerator or a Recipe"
         f"{did_you_mean(recipe, PRESETS) if isinstance(recipe, str) else ''}"
     )
 
@@ -169,7 +172,10 @@ def _from_file(path: str | Path) -> Recipe:
 
 def _from_json(source: str, text: str | bytes) -> Recipe:
     """Return the recipe of a JSON text; ``source`` begins the error message."""
-    values = parsed_json(source, text)
+    try:
+        values = parsed_json(source, text)
+    except ValueError as error:
+        raise ValueError(f"{error}; expected JSON such as {_EXAMPLE}") from None
     if not isinstance(values, Mapping):
         raise ValueError(f"{source}: expected an object with {', '.join(_KEYS)}")
     return _from_mapping(values)
