@@ -22,6 +22,7 @@ from mapdata.cli.common import (
     Parser,
     add_import_flag,
     complain,
+    output_path,
     parser_of,
     run,
     run_parsed,
@@ -113,15 +114,17 @@ def info_command(
       mapdata info data/maps
       mapdata info data/maps --recipe > recipe.json
       mapdata info data/maps --card
+      mapdata info data/maps --card -
 
     Args:
         root: folder or URL of a dataset; maps of several datasets are numbered one after another
         recipe: print the recipe: a few lines of JSON from which the dataset can be built again
-        card: write the dataset card to this file (default: README.md in ROOT)
+        card: write the dataset card to this file, or print it if this is - (default: README.md in
+            ROOT)
     """
     from mapdata.describe import card as card_of
     from mapdata.shards import Root, write_file, write_output
-    from mapdata.shards.locations import local_path, target_folder
+    from mapdata.shards.locations import target_folder
 
     if recipe and card is not None:
         raise ValueError("--recipe: not allowed with --card")
@@ -132,7 +135,10 @@ def info_command(
         return
     if card is True and len(root) > 1:
         raise ValueError("--card: got several datasets; name the file, as in --card FILE")
-    path = target_folder(root[0]) / "README.md" if card is True else local_path(card)
+    if card == "-":
+        print(card_of(root, progress=True), end="")
+        return
+    path = target_folder(root[0]) / "README.md" if card is True else output_path(card)
     # A README.md in the dataset is replaced even if it is a link, which a stranger may have placed
     # there. A file that the user names is written through links and pipes.
     write = write_file if card is True else write_output
@@ -179,7 +185,7 @@ def verify_command(root: list[str], *, repair: bool = False) -> None:
             print(f"{dataset}: {len(faults)} repaired")
         if findings.unchecked:
             print(f"note: {findings.unchecked}")
-            requirement = " and its family is known (--import MODULE)"
+            requirement = " and its maps can be drawn (see the note)"
     if unrepaired_count and repair:
         raise DisagreeError(f"{unrepaired_count} of {fault_count} not repaired")
     if unrepaired_count:
@@ -212,11 +218,10 @@ def show_command(
         figure: figure to draw
     """
     from mapdata.plotting.figures import SINGLE_MAP_FIGURES, WITH_GRID, plot_figure
-    from mapdata.shards.locations import local_path
 
     if output is None:
         output = unused_name("map.png")
-    path = local_path(output)  # refuses a URL before the figure is drawn
+    path = output_path(output)
     if index is not None and figure not in SINGLE_MAP_FIGURES:
         raise ValueError(
             f"--index: does nothing with --figure {figure}, which shows the whole dataset"
@@ -248,11 +253,10 @@ def report_command(root: list[str], *, output: str | None = None, maps: int = 50
     """
     from mapdata.plotting.html_report import report
     from mapdata.shards import write_output
-    from mapdata.shards.locations import local_path
 
     if output is None:
         output = unused_name("report.html")
-    path = local_path(output)  # refuses a URL before the report is made
+    path = output_path(output)
     text = report(root, maps, progress=True).encode()
     write_output(path, text)
     print(f"wrote {output}, {len(text) / 1e3:,.0f} kB: open it in a browser")

@@ -11,6 +11,7 @@ import threading
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, TextIO, get_args, get_origin
 
 from mapdata.interrupts import EXIT_CODE, STOPPED, THREADS, leave, stoppable
@@ -29,7 +30,12 @@ class DisagreeError(Exception):
 
 def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
     """Return the short summary of a dataset, one fact to a line."""
-    from mapdata.describe.dataset_card import TERRAIN_RULE, counted
+    from mapdata.describe.dataset_card import (
+        TERRAIN_RULE,
+        counted,
+        generator_text,
+        movement_text,
+    )
 
     done = manifest.done
     size = sum(entry.bytes for entry in manifest.shards)
@@ -38,6 +44,13 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
     shards = counted(len(manifest.shards), "shard")
     unfinished = "" if manifest.complete else f" (of {manifest.maps:,}: not finished)"
     lines = {"maps": f"{done:,} of {rows} x {columns} cells in {shards}{unfinished}"}
+    if manifest.generator is None:
+        lines["splits"] = _split_text(manifest)
+    else:
+        lines["generator"] = generator_text(manifest.generator)
+        lines["seed"] = str(manifest.seed)
+    lines["movement"] = movement_text(manifest.movement, manifest.has_terrain)
+    lines["resolution"] = f"{manifest.resolution:g} m per cell"
     if manifest.generator is None:
         lines |= _import_summary(root, manifest)
     if manifest.has_terrain:
@@ -57,19 +70,22 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
     return "\n".join(f"{name + ':':22}{text}" for name, text in lines.items() if text)
 
 
-def _import_summary(root: str, manifest: Manifest) -> dict[str, str]:
-    """Return the lines of `summary` that only imported maps need, since they have no recipe."""
-    from mapdata.describe.dataset_card import movement_text
+def _split_text(manifest: Manifest) -> str:
+    """Return the number of maps of each split."""
     from mapdata.limits import SPLITS
-    from mapdata.shards.dataset_files import read_provenance
 
     counts = {
         split: sum(entry.counts[split]["maps"] for entry in manifest.shards) for split in SPLITS
     }
-    lines = {
-        "splits": ", ".join(f"{split} {count:,}" for split, count in counts.items()),
-        "movement": movement_text(manifest.movement, manifest.has_terrain),
-    }
+    return ", ".join(f"{split} {count:,}" for split, count in counts.items())
+
+
+def _import_summary(root: str, manifest: Manifest) -> dict[str, str]:
+    """Return the lines of `summary` that the record of an import gives."""
+    from mapdata.limits import SPLITS
+    from mapdata.shards.dataset_files import read_provenance
+
+    lines = {}
     # The file of provenance may be missing, damaged or of an older version, without some entries.
     with suppress(OSError, ValueError, TypeError, KeyError):
         provenance = read_provenance(root)
@@ -297,6 +313,24 @@ def whole_number(text: str) -> int:
         if len(decimals) <= exponent:
             return int(digits + decimals.ljust(exponent, "0"))
     raise argparse.ArgumentTypeError(f"got {text!r}, expected a whole number such as 10000 or 1e4")
+
+
+def output_path(name: str) -> Path:
+    """Return the path of a file to write, checked before the work that makes its content.
+
+    Raises:
+        ValueError: it is a URL or a folder, its folder does not exist, or it is ``-``.
+    """
+    from mapdata.shards.locations import local_path
+
+    path = local_path(name)
+    if name == "-":
+        raise ValueError("-: cannot be written to the standard output, expected the name of a file")
+    if path.is_dir():
+        raise ValueError(f"{path}: is a folder, expected the name of a file")
+    if not path.parent.is_dir():
+        raise ValueError(f"{path}: cannot be written, the folder {path.parent} does not exist")
+    return path
 
 
 def unused_name(name: str) -> str:

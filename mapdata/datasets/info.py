@@ -32,7 +32,8 @@ class DatasetInfo:
     Attributes:
         roots: folders and URLs of the dataset; none for maps made online and for a `ProblemSet`.
         recipes: generator, seed and number of maps of each root; None for imported maps, for maps
-            of a family that is not registered, and for a `ProblemSet`.
+            of a family that is not registered or has other parameters by now, and for a
+            `ProblemSet`.
         identities: identity of generator and seed of each root; None for imported maps and for a
             `ProblemSet`.
         content_hashes: hash of the maps of each root, or of the problems of a `ProblemSet`; None

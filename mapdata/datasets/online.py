@@ -15,7 +15,13 @@ from mapdata.datasets.fields import Paths, StoredMaps
 from mapdata.datasets.info import DatasetInfo, field_infos
 from mapdata.generators.generator import identity
 from mapdata.generators.maps import Maps
-from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe, generate
+from mapdata.generators.recipe import (
+    Recipe,
+    RecipeLike,
+    as_recipe,
+    check_reproducible,
+    generate,
+)
 from mapdata.generators.splits import draw_splits, maps_of_split, split_thresholds
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
@@ -45,7 +51,8 @@ class OnlineMapDataset(SampledProblemDataset):
         split: as in `MapDataset`, like all further arguments.
 
     Raises:
-        ValueError: arguments that do not fit, or that would do nothing.
+        ValueError: arguments that do not fit, or that would do nothing; the family of a user does
+            not draw the same map twice.
     """
 
     _opened = ("_map_indices",)
@@ -68,7 +75,7 @@ class OnlineMapDataset(SampledProblemDataset):
         transform: Transform | None = None,
         radius: float = 0.0,
     ) -> None:
-        """Check the arguments; no map is made yet."""
+        """Check the arguments; no map is made yet, except to check a family of the user's own."""
         serving = Serving(
             fields=fields,
             problems=problem_source(problems),
@@ -83,6 +90,7 @@ class OnlineMapDataset(SampledProblemDataset):
         )
         super().__init__(split, serving)
         recipe = as_recipe(recipe, seed=seed)
+        check_reproducible(recipe)
         self.generator = recipe.generator
         self.seed = recipe.seed
         self.length = recipe.maps if length is None else check_count("length", length)

@@ -17,7 +17,7 @@ import numpy as np
 
 from mapdata._version import __version__
 from mapdata.describe.statistics import DatasetStatistics, Repeats, dataset_statistics
-from mapdata.generators.generator import PRESETS, MapGenerator, UnknownFamily
+from mapdata.generators.generator import PRESETS, SHARED_PARAMETERS, MapGenerator, UnknownFamily
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
 from mapdata.search.lattice import HARD
@@ -214,6 +214,22 @@ def _preset_name(generator: MapGenerator | None) -> str:
     return ""
 
 
+def generator_text(generator: MapGenerator) -> str:
+    """Return the preset that equals a generator, or else its family with its parameters.
+
+    The parameters that all families share are left out.
+    """
+    preset = _preset_name(generator)
+    if preset:
+        return f"preset {preset}"
+    parameters = [
+        f"{name} {json.dumps(value)}"
+        for name, value in generator.to_dict().items()
+        if name not in ("generator", *SHARED_PARAMETERS)
+    ]
+    return ", ".join([f"family {generator.name}", *parameters])
+
+
 def _rebuild_section(name: str, manifest: Manifest, generator: MapGenerator) -> Section:
     """Return the commands that build a dataset again in a folder ``name``.
 
@@ -229,7 +245,8 @@ def _rebuild_section(name: str, manifest: Manifest, generator: MapGenerator) -> 
     for part in (generator, *generator.inner_generators):
         module = type(part).__module__
         if isinstance(part, UnknownFamily) or module == "__main__":
-            text += f" The command needs --import with the module of the family {part.name}."
+            command += " --import MODULE"
+            text += f" Write the module that has the family {part.name} in place of MODULE."
         elif not module.startswith("mapdata."):
             command += f" --import {module}"
             text += f" The module {module} has the family {part.name}."

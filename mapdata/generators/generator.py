@@ -1,17 +1,19 @@
 """`MapGenerator`, the base class of all families of maps, and the registry of families and presets.
 
-Stored maps of a family that is not registered have an `UnknownFamily` as their generator.
+Stored maps have an `UnknownFamily` as their generator if their family is not registered, or if its
+registered class has other parameters by now.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, fields
 from functools import lru_cache
 from inspect import isabstract
-from types import MappingProxyType
-from typing import Any, ClassVar, TypeVar
+from types import MappingProxyType, UnionType
+from typing import Any, ClassVar, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from mapdata.arrays import Ints
 from mapdata.checks import (
@@ -186,6 +188,9 @@ class MapGenerator(ABC):
             parameters["movement"] = _movement(parameters["movement"])
         for key, inner_values in _inner_values(family, parameters).items():
             parameters[key] = MapGenerator.from_dict(inner_values)
+        for key in _tuple_parameters(family):
+            if key in parameters:
+                parameters[key] = _as_tuples(parameters[key])
         return family(**parameters)
 
     @classmethod
@@ -200,10 +205,11 @@ class MapGenerator(ABC):
 
 @dataclass(frozen=True)
 class UnknownFamily(MapGenerator):
-    """The generator of stored maps whose family is not registered in this process.
+    """The generator of stored maps that this process cannot draw.
 
-    It keeps what the dataset states, so that the maps can be read, and have the same identity and
-    recipe as where the family is known. It cannot draw maps.
+    Their family is not registered, or its registered class has other parameters than the stored
+    ones. It keeps what the dataset states, so that the maps can be read, and have the same identity
+    and recipe as where the family is known. It cannot draw maps.
 
     Attributes:
         name: name of the family in JSON.
@@ -249,7 +255,7 @@ class UnknownFamily(MapGenerator):
         Raises:
             ValueError: always.
         """
-        raise ValueError(why_unknown(self.name))
+        raise ValueError(why_not_drawn(self))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the parameters as plain values for JSON, as the family itself would."""
@@ -267,7 +273,8 @@ class UnknownFamily(MapGenerator):
 def stored_generator(text: str, has_terrain: bool = False) -> MapGenerator:
     """Return the generator that the JSON of a shard or manifest states.
 
-    It is an `UnknownFamily` if the family is not registered.
+    It is an `UnknownFamily` if the family is not registered. It is one, too, if the family is the
+    code of a user, and its class has other parameters than when the maps were drawn.
 
     Args:
         text: the JSON.
@@ -288,12 +295,12 @@ def _stored_generator(values: Any, has_terrain: bool) -> MapGenerator:
     name = values.get("generator", _ROOMS) if isinstance(values, dict) else _ROOMS
     family = family_named(name) if isinstance(name, str) else None
     if family is not None and isinstance(values, dict):
-        # Their families may be unknown, too. Terrain lies over maps that have none of their own.
-        inner_generators = {
-            key: _stored_generator(inner_values, has_terrain=False)
-            for key, inner_values in _inner_values(family, values).items()
-        }
-        return MapGenerator.from_dict({**values, **inner_generators})
+        if is_of_mapdata(family):
+            return _generator_of(family, values)
+        with suppress(Exception):  # The code of a user may raise anything.
+            generator = _generator_of(family, values)
+            if _has_stored_form(generator, values, has_terrain):
+                return generator
     if not isinstance(name, str) or not isinstance(values, dict):
         return MapGenerator.from_dict(values)  # which refuses them
     missing = [key for key in SHARED_PARAMETERS if key not in values]
@@ -313,6 +320,50 @@ def _stored_generator(values: Any, has_terrain: bool) -> MapGenerator:
         movement=_movement(values["movement"]),
         splits=values["splits"],
     )
+
+
+def _generator_of(family: type[MapGenerator], values: Mapping[str, Any]) -> MapGenerator:
+    """Return the generator of a registered family that stored plain values state."""
+    # The families of inner generators may be unknown. Terrain lies over maps that have none of
+    # their own.
+    inner_generators = {
+        key: _stored_generator(inner_values, has_terrain=False)
+        for key, inner_values in _inner_values(family, values).items()
+    }
+    return MapGenerator.from_dict({**values, **inner_generators})
+
+
+def _has_stored_form(generator: MapGenerator, values: Mapping[str, Any], has_terrain: bool) -> bool:
+    """Return whether a dataset of ``generator`` would state these plain values."""
+    return generator.has_terrain == has_terrain and generator.to_json() == canonical_json(values)
+
+
+def _tuple_parameters(family: type[MapGenerator]) -> list[str]:
+    """Return the names of the parameters that are tuples by their annotation; JSON has lists.
+
+    The families of mapdata are left out, since they convert and check their parameters themselves.
+    """
+    if is_of_mapdata(family):
+        return []
+    try:
+        hints = get_type_hints(family)
+    except Exception:  # An annotation may name what only type checkers import.
+        return []
+    names = []
+    for parameter in fields(family):
+        hint = hints[parameter.name]
+        is_union = get_origin(hint) in (Union, UnionType)
+        alternatives = get_args(hint) if is_union else (hint,)
+        if any(tuple in (alternative, get_origin(alternative)) for alternative in alternatives):
+            names.append(parameter.name)
+    return names
+
+
+def _as_tuples(values: object) -> Any:
+    """Return ``values`` with every sequence in it turned into a tuple."""
+    if isinstance(values, Sequence) and not isinstance(values, (str, bytes)):
+        return tuple(_as_tuples(value) for value in values)
+    return values
 
 
 def _inner_values(family: type[MapGenerator], values: Mapping[str, Any]) -> dict[str, Any]:
@@ -382,6 +433,7 @@ def register(family: type[MapGenerator], presets: Mapping[str, MapGenerator] = {
         raise ValueError(
             f"{family.__name__}: expected a frozen dataclass with name, max_seed_points and draw"
         )
+    check_declared(family)
     # A notebook defines the same class anew each time its cell runs; the new class replaces it.
     registered = GENERATORS.get(family.name, family)
     if (registered.__module__, registered.__qualname__) != (family.__module__, family.__qualname__):
@@ -451,6 +503,92 @@ def why_unknown(name: str) -> str:
     return (
         f"the family {name!r} is not known here; {advice}; known are {', '.join(GENERATORS)}{hint}"
     )
+
+
+def check_declared(family: type[MapGenerator]) -> None:
+    """Refuse a class that lacks a name or description, which manifest and card state.
+
+    Raises:
+        ValueError: the message says how to declare what is missing.
+    """
+    missing = [name for name in ("name", "description") if not hasattr(family, name)]
+    if missing:
+        declarations = " and ".join(f'{name}: ClassVar[str] = "..."' for name in missing)
+        raise ValueError(
+            f"{family.__name__}: has no {' and no '.join(missing)}; declare {declarations} in the "
+            "class"
+        )
+
+
+def check_plain(generator: MapGenerator) -> None:
+    """Refuse parameters that JSON cannot hold, which only the class of a user can have.
+
+    Raises:
+        ValueError: the message names the parameter.
+    """
+    for name, value in generator.to_dict().items():
+        try:
+            canonical_json(value)
+        except (TypeError, ValueError):
+            text = " ".join(repr(value).split())
+            raise ValueError(
+                f"{name}: got {text}, expected a value that JSON can hold: a finite number of "
+                "Python, a text, a bool, None, or tuples of these"
+            ) from None
+
+
+def is_of_mapdata(family: type[MapGenerator]) -> bool:
+    """Return whether a family is one of mapdata's own, rather than the code of a user."""
+    return family.__module__.startswith("mapdata.")
+
+
+def why_not_drawn(unknown: UnknownFamily) -> str:
+    """Return one line: why this process cannot draw the stored maps, and what to do."""
+    family = family_named(unknown.name)
+    if family is None:
+        return why_unknown(unknown.name)
+    stored = unknown.to_dict()
+    changes = parameter_changes(family, stored)
+    if not changes:
+        try:
+            generator = MapGenerator.from_dict(stored)
+            if _has_stored_form(generator, stored, unknown.has_terrain):
+                return (
+                    f"the family {unknown.name!r} was not registered when the dataset was opened; "
+                    "open it again"
+                )
+            changes = f"with other values: {_other_values(generator.to_dict(), stored)}"
+        except Exception as error:  # The code of a user may raise anything.
+            changes = " ".join(f"{type(error).__name__}: {error}".split())
+    return (
+        f"the stored parameters of the family {unknown.name!r} are not those of the registered "
+        f"class {family.__name__} ({changes}); the stored maps can be read, but making more of "
+        "them needs the class as it was when they were built"
+    )
+
+
+def _other_values(values: Mapping[str, Any], stored: Mapping[str, Any]) -> str:
+    """Return the names of the parameters whose plain values are not the stored ones."""
+    names = [
+        name for name in stored if canonical_json(values[name]) != canonical_json(stored[name])
+    ]
+    return ", ".join(names or ["has_terrain"])
+
+
+def parameter_changes(family: type[MapGenerator], stored: Mapping[str, Any]) -> str:
+    """Return which parameters a class has gained and lost since plain values of it were stored.
+
+    The text is empty if ``stored`` has exactly the parameters of the class.
+    """
+    names = [parameter.name for parameter in fields(family)]
+    new = [name for name in names if name not in stored]
+    removed = [name for name in stored if name not in ("generator", *names)]
+    parts = [
+        f"{change}: {', '.join(changed)}"
+        for change, changed in (("new", new), ("removed", removed))
+        if changed
+    ]
+    return "; ".join(parts)
 
 
 def identity(generator: MapGenerator, seed: int) -> str:

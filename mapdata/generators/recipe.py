@@ -12,14 +12,18 @@ from typing import Any
 import numpy as np
 
 from mapdata._version import __version__
-from mapdata.arrays import Ints
+from mapdata.arrays import Array, Flags, Ints
 from mapdata.checks import check_choice, check_count, check_seed, did_you_mean
 from mapdata.generators.generator import (
     PRESETS,
     MapGenerator,
     UnknownFamily,
+    check_declared,
+    check_plain,
     identity,
-    why_unknown,
+    is_of_mapdata,
+    parameter_changes,
+    why_not_drawn,
 )
 from mapdata.generators.maps import Maps
 from mapdata.hashing import parsed_json
@@ -30,6 +34,9 @@ MAX_RECIPE_BYTES = 2**20
 
 _KEYS = ("content_hash", "format_version", "identity", "maps", "seed", "spec")
 """The keys of a recipe in JSON; each of them may be left out."""
+
+_EXAMPLE = '{"spec": "dungeon", "seed": 7, "maps": 500}'
+"""A recipe as JSON, for error messages."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +53,8 @@ class Recipe:
             compares it with the hash of what it built.
 
     Raises:
-        ValueError: no generator, one whose family is not known here, or a bad seed or number.
+        ValueError: no generator, one whose family is not known here or lacks a name, or a bad seed
+            or number.
 
     >>> from mapdata import MapSpec
     >>> Recipe(MapSpec.preset("dungeon"), seed=7, maps=500).maps
@@ -66,7 +74,8 @@ class Recipe:
             )
         for generator in (self.generator, *self.generator.inner_generators):
             if isinstance(generator, UnknownFamily):
-                raise ValueError(f"spec: {why_unknown(generator.name)}")
+                raise ValueError(f"spec: {why_not_drawn(generator)}")
+            check_declared(type(generator))
         if self.content_hash is not None and not _is_sha256(self.content_hash):
             raise ValueError(
                 f"content_hash: got {self.content_hash!r}, expected a SHA-256 in hexadecimal digits"
@@ -75,7 +84,12 @@ class Recipe:
         object.__setattr__(self, "maps", check_count("maps", self.maps))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the recipe as plain values for JSON, which `as_recipe` reads."""
+        """Return the recipe as plain values for JSON, which `as_recipe` reads.
+
+        Raises:
+            ValueError: a parameter of the generator that JSON cannot hold.
+        """
+        check_plain(self.generator)
         values: dict[str, Any] = {
             "format_version": self.generator.format_version,
             "spec": self.generator.to_dict(),
@@ -141,7 +155,7 @@ def _load(recipe: object) -> Recipe:
         return _from_file(recipe)
     raise ValueError(
         f"recipe: got {recipe!r}, expected a preset ({', '.join(PRESETS)}), the path of a recipe "
-        "file, JSON text, a mapping, a MapGenerator or a Recipe"
+        f"file, JSON text such as {_EXAMPLE}, a mapping, a MapGenerator or a Recipe"
         f"{did_you_mean(recipe, PRESETS) if isinstance(recipe, str) else ''}"
     )
 
@@ -158,7 +172,10 @@ def _from_file(path: str | Path) -> Recipe:
 
 def _from_json(source: str, text: str | bytes) -> Recipe:
     """Return the recipe of a JSON text; ``source`` begins the error message."""
-    values = parsed_json(source, text)
+    try:
+        values = parsed_json(source, text)
+    except ValueError as error:
+        raise ValueError(f"{error}; expected JSON such as {_EXAMPLE}") from None
     if not isinstance(values, Mapping):
         raise ValueError(f"{source}: expected an object with {', '.join(_KEYS)}")
     return _from_mapping(values)
@@ -183,8 +200,20 @@ def _from_mapping(values: Mapping[str, Any]) -> Recipe:
     if values.get("identity") not in (None, identity(recipe.generator, recipe.seed)):
         raise ValueError(
             f"recipe: its identity {values['identity']} is not that of its spec and seed"
+            f"{_why_another_identity(recipe.generator, values.get('spec'))}"
         )
     return recipe
+
+
+def _why_another_identity(generator: MapGenerator, spec: object) -> str:
+    """Return the end of an error message: how the class of a user differs from a recipe's spec."""
+    family = type(generator)
+    if is_of_mapdata(family) or not isinstance(spec, Mapping):
+        return ""
+    changes = parameter_changes(family, spec)
+    if not changes:
+        return ""
+    return f": its parameters are not those of the registered class {family.__name__} ({changes})"
 
 
 def generate(
@@ -203,8 +232,8 @@ def generate(
 
     Raises:
         ValueError: no recipe; a seed or an index that is not a non-negative integer of 64 (63)
-            bits; a family that draws no seed points, some outside of the map, or terrain that does
-            not fit its maps.
+            bits; a family that returns no `Maps`, or draws no seed points, some outside of the map,
+            or terrain that does not fit its maps.
 
     >>> maps = generate("paper", seed=0, indices=range(3))
     >>> maps.occupancy.shape, maps.rooms.tolist()
@@ -213,10 +242,55 @@ def generate(
     recipe = as_recipe(recipe, seed=seed)
     if indices is None:
         indices = range(recipe.maps)
-    maps = recipe.generator.draw(recipe.seed, _map_numbers(indices))
+    numbers = _map_numbers(indices)
+    maps = recipe.generator.draw(recipe.seed, numbers)
+    if not isinstance(maps, Maps) or len(maps) != len(numbers):
+        drawn = f"{len(maps)} maps" if isinstance(maps, Maps) else f"a {type(maps).__name__}"
+        raise ValueError(
+            f"{recipe.generator.name}: draw returned {drawn}, expected Maps of {len(numbers)} "
+            "maps; with_seed_points(self, seed, indices, grids) of mapdata.generators makes them "
+            "of grids"
+        )
     _check_seed_points(recipe.generator, maps)
     _check_terrain(recipe.generator, maps)
     return maps
+
+
+def check_reproducible(recipe: Recipe) -> None:
+    """Refuse a family of a user whose maps depend on more than parameters, seed and number.
+
+    Map 1 is drawn twice, once after map 0 and once alone. Families of mapdata are not drawn.
+
+    Raises:
+        ValueError: the two differ, or as `generate`.
+    """
+    generators = (recipe.generator, *recipe.generator.inner_generators)
+    if all(is_of_mapdata(type(generator)) for generator in generators):
+        return
+    second_of_two = _arrays_of_last(generate(recipe, indices=[0, 1]))
+    alone = _arrays_of_last(generate(recipe, indices=[1]))
+    if not all(map(np.array_equal, second_of_two, alone)):
+        raise ValueError(
+            f"{recipe.generator.name}: map 1 differs when it is drawn again, so its recipe would "
+            "not make the same maps twice; draw must take all random numbers from block(seed, "
+            "index, 0, MAP, number) of mapdata.rng, so that they depend on the seed and the number "
+            "of the map alone"
+        )
+
+
+def _arrays_of_last(maps: Maps) -> list[Array]:
+    """Return all that was drawn for the last map, without padding."""
+    rooms = int(maps.rooms[-1])
+    arrays: list[Array] = [
+        maps.packed[-1],
+        maps.rooms[-1],
+        maps.passage_width[-1],
+        maps.seed_points[-1, :rooms],
+        maps.sizes[-1, :rooms],
+        maps.directions[-1, : rooms - 1],
+        maps.split[-1],
+    ]
+    return arrays if maps.terrain is None else [*arrays, maps.terrain[-1]]
 
 
 def _map_numbers(indices: Iterable[int]) -> Ints:
@@ -238,16 +312,30 @@ def _check_seed_points(generator: MapGenerator, maps: Maps) -> None:
 
     The families of mapdata keep these rules; a family that a user wrote may break them.
     """
-    points = maps.seed_points
-    is_outside = (points < -1) | (points >= generator.map_size)
-    point_counts = (points[:, :, 0] >= 0).sum(axis=1)
-    # Products of counts of fewer than 64 bits would overflow.
-    counts_agree = maps.rooms.dtype == np.int64 and (point_counts == maps.rooms).all()
-    if is_outside.any() or not (point_counts.all() and counts_agree):
+    if maps.rooms.dtype != np.int64:  # Products of counts of fewer bits would overflow.
         raise ValueError(
-            f"{generator.name}: drew seed points outside of a map, none, or not as stated (by "
-            "int64)"
+            f"{generator.name}: drew Maps.rooms of type {maps.rooms.dtype}, expected int64"
         )
+    points = maps.seed_points
+    rows, columns = generator.map_size
+    outside = (points < -1) | (points >= generator.map_size)  # (N, R, 2): its row, its column
+    is_outside: Flags = outside[:, :, 0] | outside[:, :, 1]
+    point_counts = (points[:, :, 0] >= 0).sum(axis=1)
+    is_unsound: Flags = is_outside.any(axis=1) | (point_counts != maps.rooms) | (point_counts == 0)
+    if not is_unsound.any():
+        return
+    row = int(is_unsound.argmax())
+    if is_outside[row].any():
+        point = int(is_outside[row].argmax())
+        cell = tuple(points[row, point].tolist())
+        fault = f"with the seed point {cell}, expected cells of a map of {rows} x {columns}"
+    elif point_counts[row] != maps.rooms[row]:
+        fault = f"with {point_counts[row]} seed points, but Maps.rooms says {maps.rooms[row]}"
+    elif maps.occupancy[row].all():
+        fault = "with all cells occupied, expected at least one free cell for a seed point"
+    else:
+        fault = "without a seed point, expected at least one"
+    raise ValueError(f"{generator.name}: drew map {maps.index[row]} {fault}")
 
 
 def _check_terrain(generator: MapGenerator, maps: Maps) -> None:

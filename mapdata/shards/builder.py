@@ -14,7 +14,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mapdata.checks import check_count, check_integers
-from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe, generate
+from mapdata.generators.generator import check_plain, unknown_family, why_not_drawn
+from mapdata.generators.recipe import (
+    Recipe,
+    RecipeLike,
+    as_recipe,
+    check_reproducible,
+    generate,
+)
+from mapdata.hashing import canonical_json
 from mapdata.search.labels import label
 from mapdata.shards.errors import ShardError
 from mapdata.shards.files import StrPath, file_hash, file_size, make_folder, write_file
@@ -84,7 +92,8 @@ def build(
     Raises:
         ShardError: the recipe states another content hash.
         ValueError: an argument is invalid; the root is a URL or a file, or holds other files; it
-            holds a dataset of another recipe or shard size, or one with more maps.
+            holds a dataset of another recipe or shard size, or one with more maps; the family of a
+            user does not draw the same map twice.
         OSError: the disk is full, or the folder may not be written to.
     """
     recipe = as_recipe(recipe, maps=maps, seed=seed)
@@ -126,6 +135,8 @@ def _build_shards(
         resolution=generator.resolution,
     )
     assigned = _assigned_headers(planned, part)
+    check_plain(generator)
+    check_reproducible(recipe)
     existing = _create_root(root, planned)
     present = _check_present(
         root, planned, existing, {header.limits for header in assigned}, progress
@@ -441,7 +452,8 @@ def _check_same_dataset(root: Path, planned: Manifest, existing: Manifest) -> No
     differing = [
         name
         for name, fact in planned_facts.items()
-        if name in existing_facts and existing_facts[name] != fact
+        # Lists and tuples are equal as JSON.
+        if name in existing_facts and canonical_json(existing_facts[name]) != canonical_json(fact)
     ]
     if differing:
         existing_text = ", ".join(f"{name} {existing_facts[name]}" for name in differing)
@@ -449,6 +461,9 @@ def _check_same_dataset(root: Path, planned: Manifest, existing: Manifest) -> No
         raise ValueError(
             f"root: {root} is of a dataset with {existing_text}, asked for {planned_text}"
         )
+    unknown = unknown_family(existing.generator)
+    if unknown is not None:
+        raise ValueError(f"root: {root} cannot be continued: {why_not_drawn(unknown)}")
     if planned.maps < existing.maps:
         raise ValueError(
             f"root: {root} holds {existing.maps} maps, asked for {planned.maps}: a dataset only "

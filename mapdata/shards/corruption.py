@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from mapdata.generators.generator import MapGenerator, unknown_family, why_unknown
+from mapdata.generators.generator import MapGenerator, unknown_family, why_not_drawn
 from mapdata.shards.arrays import decode
 from mapdata.shards.builder import build_shard, planned_headers
 from mapdata.shards.content import content_hash
@@ -96,7 +96,7 @@ class Inspection:
             return None
         return (
             f"{self.location}: the parameters of its recipe were not checked, since "
-            f"{why_unknown(unknown.name)}"
+            f"{why_not_drawn(unknown)}"
         )
 
 
@@ -210,7 +210,7 @@ def repair_faults(inspection: Inspection, *, progress: bool = False) -> list[Cor
     for fault in inspection.faults:
         unknown = None if fault.header is None else unknown_family(fault.header.generator)
         if unknown is not None:
-            hint = f"it cannot be made again: {why_unknown(unknown.name)}"
+            hint = f"it cannot be made again: {why_not_drawn(unknown)}"
             remaining.append(replace(fault, description=f"{fault.description}; {hint}"))
         elif fault.header is not None:
             repairable[fault.header] = fault

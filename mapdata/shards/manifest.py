@@ -32,6 +32,9 @@ PROVENANCE = "import.json"
 MAX_MANIFEST_BYTES = 2**27
 """Largest manifest that is read: one that lists `MAX_SHARDS` shards has some 80 MB."""
 
+_MAX_SUBFOLDERS = 8
+"""How many datasets in subfolders an error message names, at most."""
+
 MAX_SHARDS = 100_000
 """Largest number of shards of a dataset."""
 
@@ -225,7 +228,21 @@ def read_manifest(root: Path) -> Manifest:
             folder = f"its folder: {root.parent}" if is_in_dataset else "the folder of a dataset"
             raise DatasetNotFoundError(root, "it is a file", f"Give {folder}") from None
         why = f"no {MANIFEST} there" if root.is_dir() else "it does not exist"
-        raise DatasetNotFoundError(root, why) from None
+        raise DatasetNotFoundError(root, why, _subfolder_hint(root)) from None
+
+
+def _subfolder_hint(root: Path) -> str:
+    """Return the end of an error message that names the datasets in subfolders of ``root``.
+
+    An import of maps of several sizes makes such folders. The text is empty if there are none.
+    """
+    folders = sorted(str(path.parent) for path in root.glob(f"*/{MANIFEST}"))
+    if not folders:
+        return ""
+    names = ", ".join(folders[:_MAX_SUBFOLDERS])
+    if len(folders) > _MAX_SUBFOLDERS:
+        names += f" and {len(folders) - _MAX_SUBFOLDERS} more"
+    return f"Its subfolders are datasets, give one of them: {names}"
 
 
 def parse_manifest(text: str | bytes, path: str) -> Manifest:

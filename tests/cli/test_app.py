@@ -24,7 +24,7 @@ from helpers.builds import MAPS, SEED, SIZE, SPEC, make, shard_name, stamps, unp
 from helpers.families import forget, write_module
 
 import mapdata
-from mapdata import MapSpec, read_shard
+from mapdata import MapSpec, Maze, Movement, build, read_shard
 from mapdata.cli import app as cli
 from mapdata.generators import PRESETS, Cave, Terrain
 from mapdata.generators.generator import _presets
@@ -145,6 +145,55 @@ def test_build_and_info_print_the_same_summary(run: Command, tmp_path: Path) -> 
     assert info.out == "".join(
         line for line in built.out.splitlines(keepends=True) if not line.startswith("rate")
     )
+
+
+def test_info_names_the_generator_the_seed_and_the_rules(run: Command, tmp_path: Path) -> None:
+    """The preset if the parameters are its own, else the family with all of its parameters."""
+    movement = Movement(8, corner_cutting=True)
+    dungeon = MapSpec.preset("dungeon")
+    maze = Maze((30, 30), corridor=2, reopened=0.1, resolution=0.05, movement=movement)
+    expected = {
+        dungeon: [
+            "generator:            preset dungeon",
+            "seed:                 9223372036854775808",
+            "movement:             4-connected: north, east, south, west, each at cost 1",
+            "resolution:           0.1 m per cell",
+        ],
+        maze: [
+            "generator:            family maze, corridor 2, wall 1, reopened 0.1, seed_points 5",
+            "seed:                 9223372036854775808",
+            "movement:             8-connected: straight steps at cost 1, diagonal steps at cost "
+            "sqrt 2, unrestricted",
+            "resolution:           0.05 m per cell",
+        ],
+    }
+    for generator, lines in expected.items():
+        root = tmp_path / generator.name
+        build(root, generator, maps=2, seed=2**63, workers=1)
+        assert run("info", root).out.splitlines()[1:5] == lines
+
+
+def test_info_prints_the_card(run: Command, dataset: Path, tmp_path: Path) -> None:
+    """``--card -`` is the standard output, as in other programs; no file has this name."""
+    assert run("info", dataset, "--card", tmp_path / "card.md").code == 0
+    printed = run("info", dataset, "--card", "-")
+    assert printed.code == 0
+    assert printed.out == (tmp_path / "card.md").read_text(encoding="utf-8")
+    assert not Path("-").exists()
+
+
+def test_an_output_that_cannot_be_written_is_refused_before_the_work(
+    run: Command, dataset: Path, tmp_path: Path
+) -> None:
+    """No bar of progress is shown, and the message names the file that the user asked for."""
+    target = tmp_path / "none" / "out.png"
+    for verb, flag in (("report", "-o"), ("show", "-o"), ("info", "--card")):
+        message = f"{target}: cannot be written, the folder {target.parent} does not exist$"
+        run.refused(2, f"^mapdata: {message}", verb, dataset, flag, target)
+        message = f"{tmp_path}: is a folder, expected the name of a file$"
+        run.refused(2, f"^mapdata: {message}", verb, dataset, flag, tmp_path)
+    for verb in ("report", "show"):
+        run.refused(2, "^mapdata: -: cannot be written to the standard", verb, dataset, "-o", "-")
 
 
 def test_build_extends_a_dataset(run: Command, tmp_path: Path) -> None:
@@ -506,6 +555,12 @@ def test_a_recipe_of_an_unfinished_dataset_is_true(
         ("workers: got 0", ["--workers", "0"]),
         ("recipe: got 'none.json', expected a preset", ["--recipe", "none.json"]),
         ("recipe: not JSON", ["--recipe", "{"]),
+        (
+            '(char 1)); expected JSON such as {"spec": "dungeon", "seed": 7',
+            ["--recipe", "{spec: 1}"],
+        ),
+        ("got 'paper(seed=3)', expected a preset (paper, narrow", ["--recipe", "paper(seed=3)"]),
+        ('JSON text such as {"spec": "dungeon", "seed": 7, "maps": 500}', ["--recipe", "spec: x"]),
         ("--preset: not allowed with --recipe", ["--preset", "narrow", "--recipe", "paper"]),
         ("--part: got '4/4', expected K/N", ["--part", "4/4"]),
         ("unknown flag --xyz (mapdata build --help says more)", ["--xyz"]),
@@ -587,6 +642,7 @@ def test_bad_specs_are_refused_in_one_line(
     ("message", "content"),
     [
         ("not JSON", b""),
+        (r"not JSON \(Expecting value.*\); expected JSON such as \{", b"spec: {generator: maze}"),
         ("expected an object", b"[]"),
         ("recipe: got 'rooms', expected one of content_hash", b'{"rooms": [2, 3]}'),
         (r"recipe\.json: not JSON \('utf-8' codec", b'{"maps": \xff}'),
@@ -714,6 +770,21 @@ def test_a_missing_dataset_is_named_in_one_line(verb: str, run: Command, tmp_pat
     )
     (tmp_path / "file").touch()
     run.refused(2, f"no dataset at {tmp_path / 'file'}", verb, tmp_path / "file")
+
+
+@pytest.mark.parametrize("verb", ["info", "verify", "show"])
+def test_datasets_in_subfolders_are_named(
+    verb: str, run: Command, dataset: Path, tmp_path: Path
+) -> None:
+    """An import of maps of several sizes makes them; the advice is not to build a dataset there."""
+    for number in range(10):
+        (tmp_path / f"{number}x64").symlink_to(dataset)
+    names = ", ".join(str(tmp_path / f"{number}x64") for number in range(8))
+    message = (
+        f"no dataset at {tmp_path}: no manifest.json there. Its subfolders are datasets, give one "
+        f"of them: {names} and 2 more$"
+    )
+    run.refused(2, message, verb, tmp_path)
 
 
 @pytest.mark.parametrize("verb", ["info", "verify", "show"])
@@ -956,4 +1027,4 @@ def test_show_writes_the_named_file(run: Command, dataset: Path, tmp_path: Path)
     """A name without an ending becomes a PNG of exactly this name; an empty name is refused."""
     assert run("show", dataset, "-o", tmp_path / "picture").out == f"wrote {tmp_path / 'picture'}\n"
     assert (tmp_path / "picture").read_bytes()[:4] == b"\x89PNG"
-    run.refused(2, "Is a directory", "show", dataset, "-o", "")
+    run.refused(2, r"^mapdata: \.: is a folder, expected the name", "show", dataset, "-o", "")

@@ -23,6 +23,7 @@ from helpers.samples import ALL_FIELDS, assert_same
 from mapdata import (
     Cave,
     Forest,
+    MapDataModule,
     MapDataset,
     MapGenerator,
     Maps,
@@ -42,6 +43,7 @@ from mapdata.arrays import Ints
 from mapdata.cli import main
 from mapdata.generators import (
     GENERATORS,
+    Terrain,
     UnknownFamily,
     as_recipe,
     register,
@@ -95,20 +97,20 @@ def test_a_family_of_ones_own_is_built_and_verified(stripes: type[Stripes], tmp_
 
 
 @pytest.mark.parametrize(
-    ("cell", "rooms"),
+    ("cell", "rooms", "fault"),
     [
-        ((9, 3), 3),
-        ((3, 8), 3),
-        ((10**9, 3), 3),
-        ((3, -5), 3),
-        ((-1, -1), 3),
-        ((3, 0), 0),
-        ((3, 0), 2),
-        ((3, 0), 4),
+        ((9, 3), 3, r"the seed point \(9, 3\), expected cells of a map of 9 x 8"),
+        ((3, 8), 3, r"the seed point \(3, 8\), expected"),
+        ((10**9, 3), 3, r"the seed point \(1000000000, 3\), expected"),
+        ((3, -5), 3, r"the seed point \(3, -5\), expected"),
+        ((-1, -1), 3, "2 seed points, but Maps.rooms says 3"),
+        ((3, 0), 0, "3 seed points, but Maps.rooms says 0"),
+        ((3, 0), 2, "3 seed points, but Maps.rooms says 2"),
+        ((3, 0), 4, "3 seed points, but Maps.rooms says 4"),
     ],
 )
 def test_a_family_that_draws_unsound_seed_points_is_refused(
-    cell: tuple[int, int], rooms: int
+    cell: tuple[int, int], rooms: int, fault: str
 ) -> None:
     """Cells outside of the map, a count that is not theirs: compiled code would go astray."""
 
@@ -121,8 +123,87 @@ def test_a_family_that_draws_unsound_seed_points_is_refused(
             maps.rooms[-1] = rooms
             return maps
 
-    with pytest.raises(ValueError, match="stripes: drew seed points outside of a map"):
+    with pytest.raises(ValueError, match=f"^stripes: drew map 3 with {fault}"):
         generate(Unsound(), 0, range(4))
+
+
+def test_a_family_that_returns_no_usable_maps_is_refused() -> None:
+    """The message says what ``draw`` returned and what to return."""
+
+    @dataclass(frozen=True)
+    class Grids(Stripes):
+        def draw(self, seed: int, indices: Ints) -> Maps:
+            """Return an array instead of maps."""
+            return np.zeros((len(indices), *self.map_size), np.uint8)  # type: ignore[return-value]
+
+    @dataclass(frozen=True)
+    class First(Stripes):
+        def draw(self, seed: int, indices: Ints) -> Maps:
+            """Return the first map alone."""
+            return super().draw(seed, indices[:1])
+
+    @dataclass(frozen=True)
+    class Full(Stripes):
+        def draw(self, seed: int, indices: Ints) -> Maps:
+            """Return maps without a free cell."""
+            grids = np.ones((len(indices), *self.map_size), np.uint8)
+            return with_seed_points(self, seed, indices, grids)
+
+    advice = r"expected Maps of 2 maps; with_seed_points\(self, seed, indices, grids\)"
+    with pytest.raises(ValueError, match=f"^stripes: draw returned a ndarray, {advice}"):
+        generate(Grids(), 0, [4, 5])
+    with pytest.raises(ValueError, match=f"^stripes: draw returned 1 maps, {advice}"):
+        generate(First(), 0, [4, 5])
+    with pytest.raises(ValueError, match=r"^stripes: drew map 4 with all cells occupied, expected"):
+        generate(Full(), 0, [4, 5])
+
+
+def test_a_parameter_that_json_cannot_hold_is_named(tmp_path: Path) -> None:
+    """By a build, which creates no folder, and by a data module."""
+
+    @dataclass(frozen=True)
+    class Random(Stripes):
+        rng: Any = None
+
+    root = tmp_path / "maps"
+    message = r"^rng: got Generator\(PCG64\) at .*, expected a value that JSON can hold: a finite"
+    with pytest.raises(ValueError, match=message):
+        build(root, Random(rng=np.random.default_rng()))
+    with pytest.raises(ValueError, match=message):
+        MapDataModule(root, build=Random(rng=np.random.default_rng()))
+    with pytest.raises(ValueError, match=r"^every: got np\.int64\(3\), expected"):
+        build(root, Stripes(every=np.int64(3)))  # type: ignore[arg-type]
+    assert not root.exists()
+
+
+def test_a_family_that_draws_other_maps_each_time_is_refused(tmp_path: Path) -> None:
+    """Random numbers without a seed, and numbers of which each map takes the next ones."""
+
+    @dataclass(frozen=True)
+    class Unseeded(Stripes):
+        def draw(self, seed: int, indices: Ints) -> Maps:
+            """Return maps of other stripes each time."""
+            grids = (np.random.default_rng().random((len(indices), *self.map_size)) < 0.3).astype(
+                np.uint8
+            )
+            return with_seed_points(self, seed, indices, grids)
+
+    @dataclass(frozen=True)
+    class Consecutive(Stripes):
+        def draw(self, seed: int, indices: Ints) -> Maps:
+            """Return maps that depend on the other maps of the batch."""
+            rng = np.random.default_rng(seed)
+            grids = (rng.random((len(indices), *self.map_size)) < 0.3).astype(np.uint8)
+            return with_seed_points(self, seed, indices, grids)
+
+    root = tmp_path / "maps"
+    for generator in (Unseeded(), Consecutive(), Terrain((9, 8), over=Unseeded())):
+        with pytest.raises(ValueError, match="map 1 differs when it is drawn again, so its recipe"):
+            build(root, generator, maps=4, workers=1)
+        with pytest.raises(ValueError, match="draw must take all random numbers from block"):
+            OnlineMapDataset(generator, length=4)
+    assert not root.exists()
+    assert len(OnlineMapDataset(Stripes(), length=4)) == 4
 
 
 def test_a_family_that_counts_in_bytes_is_refused() -> None:
@@ -135,7 +216,9 @@ def test_a_family_that_counts_in_bytes_is_refused() -> None:
             maps = super().draw(seed, indices)
             return replace(maps, rooms=maps.rooms.astype(np.uint8))
 
-    with pytest.raises(ValueError, match="stripes: drew seed points outside of a map, none, or"):
+    with pytest.raises(
+        ValueError, match=r"stripes: drew Maps\.rooms of type uint8, expected int64"
+    ):
         generate(Small(), 0, range(4))
 
 
@@ -197,7 +280,9 @@ def test_a_class_made_anew_is_that_of_what_is_read(stripes: type[Stripes]) -> No
     exec(CELL.format(more=1), cell)
     with pytest.raises(ValueError, match="unknown key"):
         stripes.from_json(cell["Stripes"]().to_json().replace("more", "fewer"))
-    assert type(stored_generator(text)) is cell["Stripes"]
+    # The new class has another parameter, so it cannot draw the maps of the old one.
+    assert isinstance(stored_generator(text), UnknownFamily)
+    assert type(stored_generator(cell["Stripes"]().to_json())) is cell["Stripes"]
 
 
 @pytest.fixture
@@ -285,6 +370,53 @@ def test_a_cell_that_runs_again_takes_the_place_of_its_family(stripes: type[Stri
     assert MapGenerator.preset("striped") == family(more=2)
 
 
+@dataclass(frozen=True)
+class Bars(Stripes):
+    """A family with parameters that are tuples, which it does not convert from JSON's lists."""
+
+    name: ClassVar[str] = "bars"
+    side: tuple[int, int] = (2, 5)
+    marks: tuple[tuple[int, int], ...] | None = None
+
+
+@pytest.fixture
+def bars() -> Iterator[type[Bars]]:
+    """The family, registered for one test."""
+    register(Bars)
+    yield Bars
+    forget("bars")
+
+
+def test_parameters_that_are_tuples_are_tuples_again(bars: type[Bars]) -> None:
+    """JSON has lists only; a generator that is read equals the one that was written."""
+    generator = bars(side=(1, 3), marks=((1, 2), (3, 4)))
+    assert MapGenerator.from_json(generator.to_json()) == generator
+    assert stored_generator(generator.to_json()) == generator
+    assert hash(stored_generator(generator.to_json())) == hash(generator)
+    assert MapGenerator.from_json(bars().to_json()) == bars()
+
+
+def test_a_dataset_with_tuples_among_its_parameters_is_built_twice_and_extended(
+    bars: type[Bars], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By generator, by JSON and by a data module; also if the annotations cannot be read."""
+    root = tmp_path / "maps"
+    generator = bars(side=(1, 3))
+    text = json.dumps({"spec": generator.to_dict(), "seed": 4, "maps": 8})
+    first = build(root, generator, seed=4, maps=4, workers=1)
+    assert build(root, text, maps=4, workers=1) == first
+    main(["build", str(root), "--recipe", text, "--maps", "6", "--workers", "1"])
+    module = MapDataModule(str(root), build=text, batch_size=2)
+    module.prepare_data()
+    module.prepare_data()
+    assert verify(root) == []
+    monkeypatch.setitem(Bars.__annotations__, "side", "Unknown")
+    stored_generator.cache_clear()
+    extended = build(root, generator, seed=4, maps=10, workers=1)
+    assert build(root, generator, seed=4, maps=10, workers=1).identity == first.identity
+    assert extended.maps == 10
+
+
 def test_registering_refuses_what_cannot_work() -> None:
     """A name that is taken, a preset that is taken, a class that is no frozen dataclass, one that
     has no name or cannot be made.
@@ -330,6 +462,18 @@ def test_registering_refuses_what_cannot_work() -> None:
     for family in (Nameless, Unfinished):
         with pytest.raises(ValueError, match="dataclass with name, max_seed_points and draw"):
             register(family)
+    nameless = 'Nameless: has no name and no description; declare name: ClassVar.str. = "..." and '
+    with pytest.raises(ValueError, match=f"^{nameless}"):
+        generate(Nameless(), 0, [0])
+
+    @dataclass(frozen=True)
+    class Bare(Nameless):
+        """It has a name, but the dataset card could not say what its maps are."""
+
+        name: ClassVar[str] = "bare"
+
+    with pytest.raises(ValueError, match=r"^Bare: has no description; declare description: "):
+        register(Bare)
     assert "unfinished" not in GENERATORS
 
 

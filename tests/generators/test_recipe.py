@@ -150,7 +150,7 @@ def test_build_compares_the_content_hash(tmp_path: Path) -> None:
     ("recipe", "message"),
     [
         ("mazes", r"recipe: got 'mazes', expected a preset \(paper, .*; did you mean maze\?"),
-        (3, r"recipe: got 3, expected a preset .* JSON text, a mapping, a MapGenerator or"),
+        (3, r"recipe: got 3, expected a preset .* JSON text such as .*, a mapping, a MapGen"),
         (Maze, r"recipe: got <class .*Maze'>, expected a preset"),
         (None, r"recipe: got None, expected a preset"),
         (Path("none.json"), r"recipe: got .*none.json'\), expected .*the path of a recipe file"),

@@ -50,9 +50,9 @@ register(Pillars, {"columns": Pillars()})
 """The text of the module ``pillars``."""
 
 
-def write_module(folder: Path) -> None:
+def write_module(folder: Path, text: str = PILLARS) -> None:
     """Write ``pillars.py``, as a user does."""
-    (folder / "pillars.py").write_text(PILLARS, encoding="utf-8")
+    (folder / "pillars.py").write_text(text, encoding="utf-8")
 
 
 def forget(family: str, *presets: str) -> None:

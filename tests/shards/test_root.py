@@ -357,10 +357,9 @@ def test_the_tries_are_those_of_the_page() -> None:
     page = (Path(__file__).parents[2] / "docs" / "urls.md").read_text(encoding="utf-8")
     assert TRIES == ((1, 4), 20, 300)
     for text in (
-        "asked three times",
-        "pauses of 1 and 4",
-        "ends after 20 seconds without a byte",
-        "or 5 minutes in all",
+        "mapdata tries three times",
+        "waits 1 and then 4 seconds between the tries",
+        "ends after 20 seconds without a byte, or after 5 minutes in all",
     ):
         assert text in " ".join(page.split())
 
