@@ -142,8 +142,7 @@ def test_maps_of_terrain_are_copies_only_if_their_costs_are_equal(tmp_path: Path
 
 def test_a_note_says_which_problems_were_written(tmp_path: Path) -> None:
     """The formats have different defaults, with equal counts otherwise."""
-    arguments: dict[str, Any]
-    cases = (
+    cases: tuple[tuple[dict[str, Any], str], ...] = (
         ({}, "problems: route, the default of arrays"),
         ({"format": "maze-hard"}, "problems: random, the default of maze-hard"),
         ({"problems": "pairs"}, "problems: pairs"),

@@ -185,7 +185,7 @@ def test_a_question_that_is_no_map_raises_a_format_error(
 @pytest.mark.parametrize("radius", [0.0, 0.15])
 def test_the_text_of_a_map_is_a_right_answer(radius: float) -> None:
     """Also for BFS, for a robot with a radius, and for rotated maps with padded paths."""
-    texts = OnlineMapDataset(
+    texts: Any = OnlineMapDataset(
         "cave",
         length=10,
         problems="random",
