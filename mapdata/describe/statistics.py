@@ -282,7 +282,9 @@ def digests_of(grids: Bytes, *, is_terrain: bool = False) -> tuple[list[bytes], 
         The hash of each grid, and the smallest of the hashes of its symmetric images, which is
         equal for grids that are equal up to symmetry.
     """
-    digests_of_images = [_hash_grids(image, is_terrain) for image in _symmetric_images(grids)]
+    digests_of_images = [
+        hash_grids(image, is_terrain=is_terrain) for image in _symmetric_images(grids)
+    ]
     exact = digests_of_images[0]
     symmetric = [min(digests) for digests in zip(*digests_of_images, strict=True)]
     return exact, symmetric
@@ -303,7 +305,7 @@ def _symmetric_images(grids: Bytes) -> list[Bytes]:
     return images
 
 
-def _hash_grids(grids: Bytes, is_terrain: bool) -> list[bytes]:
+def hash_grids(grids: Bytes, *, is_terrain: bool = False) -> list[bytes]:
     """Return a hash of each of N grids, (N, H, W), of 0 and 1 or of terrain."""
     hashed = grids if is_terrain else np.packbits(grids, axis=2)
     return [hashlib.blake2b(grid.tobytes(), digest_size=_DIGEST_BYTES).digest() for grid in hashed]

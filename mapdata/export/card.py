@@ -56,6 +56,7 @@ def problem_card(
         "```python",
         "from datasets import load_dataset",
         "",
+        f"# Give the path of this folder, or OWNER/{name} once it is on the Hub.",
         f'problems = load_dataset({name!r}, split="{HUB_SPLITS[next(iter(counts))]}")',
         'problems = problems.with_format("torch")',
         "```",

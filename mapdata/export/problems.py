@@ -5,15 +5,21 @@ from __future__ import annotations
 import json
 import os
 import re
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mapdata._version import __version__
-from mapdata.checks import check_choice, check_count, check_flag
+from mapdata.arrays import Array
+from mapdata.checks import check_choice, check_count, check_flag, did_you_mean
 from mapdata.datasets.dataset import MapDataset, ProblemDataset
+from mapdata.datasets.fields import FIELDS
 from mapdata.datasets.online import OnlineMapDataset
+from mapdata.describe.statistics import count_repeats, hash_grids
 from mapdata.export.card import problem_card
 from mapdata.export.layouts import LAYOUTS, Columns, Layout
 from mapdata.export.maze_text import MazeTextWriter
@@ -146,7 +152,7 @@ def export_problems(
         folder.mkdir()
         writer = _writer(format, folder, options, parts)
         max_batch = LAYOUTS[format].max_batch if format in LAYOUTS else _MAX_BATCH
-        _write(parts, writer, max_batch, progress)
+        map_hashes = _write(parts, writer, max_batch, progress)
         counts = {part.split: part.count for part in parts}
         files = writer.finish(counts, dataset.map_size)
         about = {
@@ -162,7 +168,12 @@ def export_problems(
         if format == "parquet":
             card = problem_card(local_path(target).name, about, options.fields, licence)
             (folder / "README.md").write_text(card, encoding="utf-8", newline="\n")
-    return _notes(parts)
+    default = f", the default of {format}" if problems is None else ""
+    return [
+        f"problems: {plain_text(options.problems)}{default}",
+        *_count_notes(parts),
+        *_copy_notes(map_hashes),
+    ]
 
 
 @dataclass(frozen=True)
@@ -239,8 +250,12 @@ def _format_fields(format: str, fields: Sequence[str] | None) -> tuple[str, ...]
     if fields is None:
         return DEFAULT_FIELDS
     for field in fields:
-        if not isinstance(field, str):
-            raise ValueError(f"fields: got {field!r}, expected names of fields")
+        # Functions are refused, because a file records fields by name.
+        if not isinstance(field, str) or field not in FIELDS:
+            raise ValueError(
+                f"fields: got {field!r}, expected names of fields: {', '.join(FIELDS)}"
+                f"{did_you_mean(field, FIELDS)}"
+            )
     return tuple(fields)
 
 
@@ -468,22 +483,38 @@ def _writer(format: str, folder: Path, options: _Options, parts: Sequence[_Part]
     return LayoutWriter(folder, layout, parts[0].dataset.movement)
 
 
-def _write(parts: Sequence[_Part], writer: Writer, max_batch: int, progress: bool) -> None:
-    """Write all problems of all splits, at most ``max_batch`` at a time."""
+def _write(
+    parts: Sequence[_Part], writer: Writer, max_batch: int, progress: bool
+) -> dict[str, Array]:
+    """Write all problems of all splits, at most ``max_batch`` at a time.
+
+    Returns:
+        The hashes of the maps, one for each problem, by split; without the splits whose files have
+        no maps, or no costs of maps with terrain, and empty for a single split.
+    """
+    map_field = "terrain" if parts[0].dataset.has_terrain else "map"
+    has_maps = map_field in parts[0].dataset.serving.fields
+    hashes_of_batches: dict[str, list[Array]] = defaultdict(list)
     total = sum(part.count for part in parts)
     try:
         with bar(progress, total, unit=" problems") as advance:
             for part in parts:
                 for columns in part.batches(max_batch):
                     writer.write(part.split, columns)
+                    if has_maps and len(parts) > 1:
+                        hashes = hash_grids(
+                            columns[map_field][:, 0], is_terrain=map_field == "terrain"
+                        )
+                        hashes_of_batches[part.split].append(np.array(hashes))
                     advance(len(next(iter(columns.values()))))
     except BaseException:
         writer.abort()
         raise
+    return {split: np.concatenate(hashes) for split, hashes in hashes_of_batches.items()}
 
 
-def _notes(parts: Sequence[_Part]) -> list[str]:
-    """Return what a user should know about the problems that were written."""
+def _count_notes(parts: Sequence[_Part]) -> list[str]:
+    """Return notes on the number of problems of each split."""
     notes = [f"{part.split}: {part.count:,} problems" for part in parts]
     for part in parts:
         if part.count > len(part.dataset):
@@ -492,3 +523,23 @@ def _notes(parts: Sequence[_Part]) -> list[str]:
                 "maps are used again"
             )
     return notes
+
+
+def _copy_notes(map_hashes: Mapping[str, Array]) -> list[str]:
+    """Return notes on the problems of val and test whose maps are also in train.
+
+    Args:
+        map_hashes: hashes of the maps, one for each problem, by split.
+    """
+    if "train" not in map_hashes or len(map_hashes) == 1:
+        return []
+    split_codes = [
+        np.full(len(hashes), SPLITS.index(split), np.uint8) for split, hashes in map_hashes.items()
+    ]
+    repeats = count_repeats(np.concatenate(list(map_hashes.values())), np.concatenate(split_codes))
+    return [
+        f"{later}: {count:,} of {len(map_hashes[later]):,} problems are on maps that are also in "
+        "train, so a model saw these maps in training"
+        for (earlier, later), count in repeats.across.items()
+        if earlier == "train" and count > 0
+    ]

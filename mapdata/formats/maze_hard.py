@@ -99,19 +99,26 @@ def is_shortest_answer(question: str, answer: str) -> bool:
     """Return whether an answer marks a shortest path.
 
     Many problems have several shortest paths, and a model may find another one than the file has.
-
-    Raises:
-        FormatError: the question is no map.
+    Line ends before and after the two texts are ignored, and CRLF is read as one line end. Spaces
+    count, as they are free cells.
 
     Args:
         question: the cells of a map, row by row, with one S and one G. Rows are lines, as in
             `mapdata.datasets.maze_text`, or follow one another in a square map.
         answer: the question with some free cells marked by "o", as a model returns it.
 
+    Raises:
+        FormatError: the question is no map with one S and one G, or the answer is no text.
+
     >>> answers = ("Soo #o  G", "S  o# ooG", "S   #   G")
     >>> [is_shortest_answer("S   #   G", answer) for answer in answers]
     [True, True, False]
     """
+    question = _without_outer_line_ends("question", question)
+    answer = _without_outer_line_ends("answer", answer)
+    if not _QUESTION.fullmatch(question.replace("\n", "")):
+        raise FormatError("question: expected cells '#' and ' ', one S and one G")
+    _grid_of_cells(question)  # raises an error if the rows are no map
     if answer.replace("o", " ") != question:
         return False
     cells = _grid_of_cells(answer)
@@ -123,6 +130,21 @@ def is_shortest_answer(question: str, answer: str) -> bool:
     marked_cost = astar(is_unmarked, start, goal).cost
     moves = answer.count("o") + 1
     return shortest_cost == marked_cost == moves
+
+
+def _without_outer_line_ends(name: str, text: object) -> str:
+    """Return a text with line ends between its rows alone, all of them LF.
+
+    Args:
+        name: of the text, for the error.
+        text: rows of cells.
+
+    Raises:
+        FormatError: it is no text.
+    """
+    if not isinstance(text, str):
+        raise FormatError(f"{name}: got {text!r}, expected a text")
+    return text.replace("\r\n", "\n").strip("\n")
 
 
 def _grid_of_cells(text: str) -> Bytes:

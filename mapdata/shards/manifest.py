@@ -227,6 +227,14 @@ def read_manifest(root: Path) -> Manifest:
             is_in_dataset = (root.parent / MANIFEST).is_file()
             folder = f"its folder: {root.parent}" if is_in_dataset else "the folder of a dataset"
             raise DatasetNotFoundError(root, "it is a file", f"Give {folder}") from None
+        if (root / "export.json").is_file():
+            why = "export.json there says that it is an export of training problems"
+            hint = (
+                "datasets.load_dataset opens parquet, numpy.load opens arrays, and "
+                "docs/howto/coming_from.md shows the other formats; a dataset is what 'mapdata "
+                "build' or 'mapdata import' wrote"
+            )
+            raise DatasetNotFoundError(root, why, hint) from None
         why = f"no {MANIFEST} there" if root.is_dir() else "it does not exist"
         raise DatasetNotFoundError(root, why, _subfolder_hint(root)) from None
 

@@ -23,6 +23,7 @@ from mapdata.export.parquet import ParquetWriter
 from mapdata.export.problems import _Part
 from mapdata.export.writers import ArrayWriter
 from mapdata.formats.maze_hard import is_shortest_answer
+from mapdata.shards import DatasetNotFoundError
 
 MAZE = Maze((15, 15))
 SPLIT_COUNTS = {"train": 12, "val": 12, "test": 12}
@@ -110,6 +111,46 @@ def test_more_random_problems_than_maps_are_those_of_later_epochs(
         np.testing.assert_array_equal(starts[i], dataset.__getitems__([i])[0].start)
     assert not np.array_equal(starts[: len(dataset)], starts[len(dataset) : 2 * len(dataset)])
     assert "maps are used again" in notes[-1]
+
+
+def test_notes_count_the_problems_whose_maps_are_also_in_train(tmp_path: Path) -> None:
+    """Perfect mazes of 7 x 7 cells have only 14 different maps, and those of 15 x 15 cells many."""
+    notes = export_problems(Maze((7, 7)), tmp_path / "small", count=10, fields=("map",))
+    maps = {
+        split: [grid.tobytes() for grid in np.load(tmp_path / "small" / split / "map.npy")]
+        for split in SPLIT_COUNTS
+    }
+    for split in ("val", "test"):
+        copies = sum(grid in maps["train"] for grid in maps[split])
+        assert copies > 0
+        assert (
+            f"{split}: {copies} of 10 problems are on maps that are also in train, so a model saw "
+            "these maps in training"
+        ) in notes
+    for format_name in ("arrays", "maze-hard"):
+        notes = export_problems(MAZE, tmp_path / format_name, format=format_name, count=10)
+        assert not [note for note in notes if "also in train" in note]
+
+
+def test_maps_of_terrain_are_copies_only_if_their_costs_are_equal(tmp_path: Path) -> None:
+    """No cell of the preset tiles is occupied, so all its maps have the same occupied cells."""
+    fields = ("map", "terrain")
+    for name in (fields, fields[:1]):
+        notes = export_problems("tiles", tmp_path / "-".join(name), count=10, fields=name)
+        assert not [note for note in notes if "also in train" in note]
+
+
+def test_a_note_says_which_problems_were_written(tmp_path: Path) -> None:
+    """The formats have different defaults, with equal counts otherwise."""
+    cases: tuple[tuple[dict[str, Any], str], ...] = (
+        ({}, "problems: route, the default of arrays"),
+        ({"format": "maze-hard"}, "problems: random, the default of maze-hard"),
+        ({"problems": "pairs"}, "problems: pairs"),
+        ({"problems": Random(length=(2, None))}, 'problems: {"random": {"length": [2.0, null]}}'),
+    )
+    for number, (arguments, note) in enumerate(cases):
+        target = tmp_path / str(number)
+        assert export_problems(MAZE, target, split="val", count=2, **arguments)[0] == note
 
 
 def test_max_length_pads_paths_and_bounds_random_ones(root: str, tmp_path: Path) -> None:
@@ -334,6 +375,7 @@ def test_parquet_rows_are_problems(root: str, tmp_path: Path) -> None:
         np.testing.assert_array_equal(row["start"], sample.start)
         assert row["cost"] == sample.cost.item()
     card = (tmp_path / "out/README.md").read_text()
+    assert "# Give the path of this folder, or OWNER/out once it is on the Hub." in card
     assert '\nlicense: "cc-by-4.0"\n---\n' in card
 
 
@@ -377,7 +419,9 @@ def test_an_interrupted_export_leaves_nothing(
         ({"format": "parket"}, "format: got 'parket'.*did you mean parquet"),
         ({"format": "gppn", "fields": ("map",)}, "gppn has its own fields"),
         ({"fields": ("mapp",)}, "fields: got 'mapp'"),
-        ({"fields": (len,)}, "expected names of fields"),
+        ({"fields": (len,)}, "expected names of fields: map, free"),
+        ({"fields": ("prompt",)}, "fields: got 'prompt', expected names of fields: map, free"),
+        ({"format": "parquet", "fields": ("gaol",)}, "expected names.*did you mean goal"),
         ({"format": "parquet", "max_length": 9}, "only arrays have rows to pad"),
         ({"licence": "mit"}, "arrays has no card"),
         ({"format": "vin", "split": "val"}, "vin has no place for 'val'"),
@@ -430,6 +474,15 @@ def test_a_link_is_refused_and_a_folder_that_appears_meanwhile_stays(
     with pytest.raises(ValueError, match="exists already"):
         export_problems(root, tmp_path / "out")
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["theirs"]
+
+
+def test_an_export_is_no_dataset(tmp_path: Path) -> None:
+    """Such a folder has no manifest, but to build a dataset there would not help."""
+    export_problems(MAZE, tmp_path / "out", split="val", count=2)
+    message = "an export of training problems. datasets.load_dataset opens parquet"
+    with pytest.raises(DatasetNotFoundError, match=message) as error:
+        MapDataset(tmp_path / "out")
+    assert "Make one" not in str(error.value)
 
 
 def test_numbers_of_numpy_are_taken(root: str, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
+from typing import Any
 
 import networkx as nx  # type: ignore[import-untyped]
 import numpy as np
@@ -12,9 +13,22 @@ from helpers.wild import SETTINGS, cli
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapdata import MapDataset, MapSpec, Maze, Movement, astar, build, generate
+from mapdata import (
+    Cave,
+    MapDataset,
+    MapSpec,
+    Maze,
+    Movement,
+    OnlineMapDataset,
+    Route,
+    astar,
+    build,
+    generate,
+)
+from mapdata.datasets import maze_text
 from mapdata.export import export_problems
 from mapdata.formats import (
+    FormatError,
     Limits,
     import_maps,
     is_shortest_answer,
@@ -132,6 +146,79 @@ def test_longer_paths_are_wrong() -> None:
     assert not is_shortest_answer(question, right[:-1] + "#")
     assert not is_shortest_answer(question, right[:-1] + "o")
     assert right[start] == "S"
+
+
+def test_line_ends_around_an_answer_are_ignored() -> None:
+    """Models end their answers with a newline, and files of Windows have CRLF; spaces are cells."""
+    question = "####\n#S #\n# G#\n####"
+    answer = question.replace("S ", "So")
+    questions = (question, question + "\n", question.replace("\n", "\r\n") + "\r\n")
+    answers = (answer, answer + "\n", "\n" + answer, answer.replace("\n", "\r\n") + "\r\n")
+    for each_question in questions:
+        assert all(is_shortest_answer(each_question, each_answer) for each_answer in answers)
+        assert not is_shortest_answer(each_question, " " + answer)
+        assert not is_shortest_answer(each_question, answer.replace("\n", "\n\n"))
+
+
+@pytest.mark.parametrize(
+    ("question", "answer", "message"),
+    [
+        ("#########", "#########", "question: expected cells '#' and ' ', one S and one G"),
+        ("", "", "one S and one G"),
+        ("S  SG    ", "S  SG    ", "one S and one G"),
+        ("SéG ", "SéG ", "expected cells '#' and ' '"),
+        ("S G", "SoG", "got 3 cells, expected a square map"),
+        ("S G", "S G ", "got 3 cells, expected a square map"),
+        ("S \n G ", "S \n G ", "got lines of several lengths"),
+        (None, "S  G", "question: got None, expected a text"),
+        ("S  G", None, "answer: got None, expected a text"),
+    ],
+)
+def test_a_question_that_is_no_map_raises_a_format_error(
+    question: Any, answer: Any, message: str
+) -> None:
+    """The docstring promises this error and no other."""
+    with pytest.raises(FormatError, match=message):
+        is_shortest_answer(question, answer)
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.15])
+def test_the_text_of_a_map_is_a_right_answer(radius: float) -> None:
+    """Also for BFS, for a robot with a radius, and for rotated maps with padded paths."""
+    texts: Any = OnlineMapDataset(
+        "cave",
+        length=10,
+        problems="random",
+        search="bfs",
+        augment=True,
+        max_length=400,
+        radius=radius,
+        transform=maze_text,
+    )
+    assert all(is_shortest_answer(text["prompt"], text["answer"]) for text in texts)
+
+
+@pytest.mark.parametrize(
+    ("recipe", "arguments", "message"),
+    [
+        (Cave((32, 32), movement=Movement(8)), {}, "got a path with diagonal moves, expected"),
+        ("terrain", {"movement": Movement(4)}, r"got a path of \d+ moves where \d+ are enough"),
+        (
+            "paper",
+            {"problems": Route(unsolvable=True), "movement": Movement(4), "radius": 5},
+            "got a path of 0 cells",
+        ),
+        ("maze15", {"fields": ("map", "path")}, "got samples of map, path; expected the fields"),
+    ],
+)
+def test_maps_whose_text_would_be_no_right_answer_are_refused(
+    recipe: Any, arguments: dict[str, Any], message: str
+) -> None:
+    """`is_shortest_answer` would call all of these answers wrong."""
+    arguments = {"problems": "random", **arguments}
+    dataset = OnlineMapDataset(recipe, length=20, transform=maze_text, **arguments)
+    with pytest.raises(ValueError, match=message):
+        list(dataset)
 
 
 @pytest.mark.parametrize(
