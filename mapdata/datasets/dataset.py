@@ -317,7 +317,8 @@ class ProblemDataset(Dataset[Sample], ABC):
                 tensors.append(torch.from_numpy(array))
             else:
                 batch_so_far = sample_class(names[: len(tensors)])(*tensors)
-                tensors.append(torch.as_tensor(field(batch_so_far)))
+                count = len(batch.grids)
+                tensors.append(_field_tensor(names[len(tensors)], field(batch_so_far), count))
         sample: Sample = sample_class(names, self.serving.max_length)(*tensors)
         return sample
 
@@ -338,6 +339,10 @@ class SampledProblemDataset(ProblemDataset):
     @abstractmethod
     def _stored_maps(self, map_numbers: Ints) -> StoredMaps:
         """Return maps by their numbers in the split, before inflation."""
+
+    @abstractmethod
+    def _map_indices(self, map_numbers: Ints) -> Ints:
+        """Return the numbers in the dataset of maps that have these numbers in the split, (B,)."""
 
     @abstractmethod
     def _radius_in_cells(self) -> float:
@@ -477,6 +482,7 @@ class SampledProblemDataset(ProblemDataset):
             starts=starts,
             goals=goals,
             problems=indices,
+            compute_map_indices=lambda: self._map_indices(map_numbers),
             compute_rooms=lambda: self._rooms(map_numbers, grids, compute_stored_maps),
             compute_stored_maps=compute_stored_maps,
             symmetries=np.zeros(len(indices), np.int64),
@@ -787,6 +793,9 @@ class MapDataset(SampledProblemDataset):
         stored = self.reader.locate(map_numbers)
         return self.reader.stored_maps(stored, self.reader.grids(stored))
 
+    def _map_indices(self, map_numbers: Ints) -> Ints:
+        return self.reader.map_indices(self.reader.locate(map_numbers))
+
     def _radius_in_cells(self) -> float:
         radius = self.serving.radius
         return radius / self.reader.root.resolution if radius else 0.0
@@ -810,6 +819,26 @@ class MapDataset(SampledProblemDataset):
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
         """Return the maps that follow those of the samples; the first map follows the last."""
         return (indices + attempt) % len(self.reader)
+
+
+def _field_tensor(name: str, values: Any, count: int) -> Tensor:
+    """Return what a field function of the user returned for ``count`` problems, as a tensor.
+
+    Raises:
+        ValueError: it is no tensor with a row for each problem.
+    """
+    try:
+        tensor = torch.as_tensor(values)
+    except (TypeError, ValueError, RuntimeError):
+        returned = "None" if values is None else f"a {type(values).__name__}"
+    else:
+        if tensor.ndim and len(tensor) == count:
+            return tensor
+        returned = f"a tensor of shape {tuple(tensor.shape)}"
+    raise ValueError(
+        f"fields: the function {name} returned {returned} for a batch of {count} problems, "
+        f"expected a tensor whose first dimension is {count}"
+    )
 
 
 def _inflated_terrain(stored_maps: StoredMaps, grids: Bytes) -> Bytes:

@@ -192,7 +192,7 @@ def assert_true(sample: Sample, grid: Array, search: str, movement: Movement) ->
         "path_probability": probabilities(found.path, costs, grid, movement),
         "clearance": clearance(grid),
     }
-    others = {
+    numbers = {
         "length": len(found.path),
         "cost": found.cost,
         "hardness": best / on_empty[start] if solvable else -1,
@@ -200,12 +200,14 @@ def assert_true(sample: Sample, grid: Array, search: str, movement: Movement) ->
         "connection_matrix": connections(points, grid, search, movement, size),
     }
     assert samples.cells_of(sample.path) == [tuple(cell) for cell in found.path.tolist()]
-    expected = {name: layer[None] for name, layer in layers.items()} | others
+    expected = {name: layer[None] for name, layer in layers.items()} | numbers
     for name, truth in expected.items():
         value = np.asarray(getattr(sample, name), float)
         assert value.shape == np.shape(truth), name
         np.testing.assert_allclose(value, truth, rtol=1e-5, err_msg=name)
-    assert {*expected, "start", "goal", "path", "seed_points", "problem"} == {*INFLATED_FIELDS}
+    assert sample.symmetry == 0
+    others = {"start", "goal", "path", "seed_points", "problem", "map_index", "symmetry"}
+    assert {*expected, *others} == {*INFLATED_FIELDS}
 
 
 CASES: list[tuple[str, str, str, Movement | None]] = [
