@@ -225,6 +225,8 @@ def read_manifest(root: Path) -> Manifest:
             folder = f"its folder: {root.parent}" if is_in_dataset else "the folder of a dataset"
             raise DatasetNotFoundError(root, "it is a file", f"Give {folder}") from None
         why = f"no {MANIFEST} there" if root.is_dir() else "it does not exist"
+        if not root.is_absolute():  # a program may have changed its working folder
+            why += f" (that is {root.absolute()})"
         raise DatasetNotFoundError(root, why) from None
 
 

@@ -902,7 +902,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "problems": ({"problems": "all"}, "problems: got 'all', expected one of route, pairs, random"),
     "search": ({"search": "dijkstra"}, "search: got 'dijkstra', expected one of bfs, astar"),
-    "movement": ({"movement": 8}, "movement: got 8, expected a Movement"),
+    "movement": ({"movement": 8}, r"movement: got 8, .* such as Movement\(8\)"),
     "unsolvable": (
         {"problems": {"random": {"unsolvable": True}}},
         "problems: random: unknown key: unsolvable; known are",
@@ -968,6 +968,16 @@ def test_refused_arguments_of_one_dataset(root: str) -> None:
             dataset.filter(**conditions)
     with pytest.raises(ValueError, match="filter: random problems are not stored"):
         MapDataset(root, problems="random").filter(rooms=(2, 3))
+
+
+def test_a_missing_dataset_of_a_relative_path_says_where_it_was_sought(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A program may have changed its working folder, as Hydra does on request."""
+    monkeypatch.chdir(tmp_path)
+    path = re.escape(str(tmp_path / "data" / "maps"))
+    with pytest.raises(DatasetNotFoundError, match=rf"it does not exist \(that is {path}\)\. Make"):
+        MapDataset("data/maps")
 
 
 def test_a_missing_dataset_says_what_was_looked_for(tmp_path: Path) -> None:
