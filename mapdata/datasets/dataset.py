@@ -405,7 +405,7 @@ class SampledProblemDataset(ProblemDataset):
         missing = np.flatnonzero(problems.ends[:, 0] < 0)
         while len(missing):
             if failed_draws > MAX_FAILED_DRAWS:
-                raise ValueError(f"problems={self.serving.problems}: none on one map after another")
+                raise ValueError(self._no_problem_complaint())
             attempt += 1
             maps[missing] = self._substitutes(indices[missing], attempt)
             sampled = self._sample(maps[missing], indices[missing], epoch, attempt)
@@ -422,6 +422,14 @@ class SampledProblemDataset(ProblemDataset):
         if problems.paths is not None:
             batch.paths = problems.paths
         return batch
+
+    def _no_problem_complaint(self) -> str:
+        """Return the error for conditions or a radius that no map meets."""
+        problems = self.serving.problems
+        remedy = "wider conditions" if isinstance(problems, Random) else "other maps"
+        if self.serving.radius:
+            remedy += f", or a smaller radius than {self.serving.radius:g} m"
+        return f"problems={problems}: none on one map after another; take {remedy}"
 
     def _sample(
         self, map_numbers: Ints, indices: Ints, epoch: int, attempt: int
@@ -540,7 +548,7 @@ class MapDataset(SampledProblemDataset):
         ShardError: a damaged or hostile file, found at its first touch, or at once where opening
             the dataset opens all shards.
         ValueError: arguments that do not fit, or that would do nothing; a dataset of which no
-            shard is finished.
+            shard is finished; a radius with which no problem has a path.
     """
 
     _opened = ("reader", "_selected")
@@ -586,6 +594,13 @@ class MapDataset(SampledProblemDataset):
         self.has_terrain = reader.has_terrain
         self._min_clearance = reader.min_clearance
         self._check_fields_on_terrain()
+        if radius and len(self) == 0 and len(self.reader) > 0:
+            rows, columns = self.map_size
+            raise ValueError(
+                f"radius: got {radius:g} m, with which none of the {len(self.reader)} problems of "
+                f"{', '.join(self.roots)} (split={split!r}) has a path; take a smaller radius (the "
+                f"maps are {rows} x {columns} cells of {reader.root.resolution:g} m)"
+            )
         # Labels are stored for one movement and for a robot without extent.
         self._labels_fit = self.movement == reader.movement and reader.min_clearance <= 1
 

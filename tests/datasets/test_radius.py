@@ -420,9 +420,16 @@ def test_a_bad_radius_is_named(roots: dict[str, str], radius: Any, door: str) ->
 
 
 def test_a_robot_that_fits_nowhere(roots: dict[str, str]) -> None:
-    """Nothing is left of routes, random problems are none, and the unsolvable ones have no path."""
+    """Problems with a path are none, which the messages say, and unsolvable ones have no path."""
     root = roots["square"]
-    assert len(MapDataset(root, radius=5)) == 0
+    message = (
+        r"radius: got 5 m, with which none of the \d+ problems of .* has a path; take a smaller"
+    )
+    for split in (None, "val"):
+        with pytest.raises(ValueError, match=message):
+            MapDataset(root, split, radius=5)
+    with pytest.raises(ValueError, match=message):
+        MapDataModule(root, radius=5).train_dataloader()
     every = MapDataset(root, problems=Pairs(True), radius=5, fields=INFLATED_FIELDS)[:]
     assert (every.map == 1).all()
     assert (every.cost == -1).all()
@@ -433,14 +440,15 @@ def test_a_robot_that_fits_nowhere(roots: dict[str, str]) -> None:
     assert (every.iterations == 0).all()
     assert (every.optimal_moves == 0).all()
     assert (every.optimal_mask == 0).all()
-    for dataset in (
-        MapDataset(root, problems="random", radius=5),
-        OnlineMapDataset(samples.SPEC, problems="random", radius=5),
-        OnlineMapDataset(samples.SPEC, radius=5),
+    wider = "take wider conditions, or a smaller radius than 5 m"
+    for dataset, remedy in (
+        (MapDataset(root, problems="random", radius=5), wider),
+        (OnlineMapDataset(samples.SPEC, problems="random", radius=5), wider),
+        (OnlineMapDataset(samples.SPEC, radius=5), "take other maps, or a smaller radius than 5 m"),
     ):
-        with pytest.raises(ValueError, match="none on one map after another"):
+        with pytest.raises(ValueError, match=f"none on one map after another; {remedy}"):
             dataset[0]
-    with pytest.raises(ValueError, match="no map has a problem"):
+    with pytest.raises(ValueError, match=r"no map has a problem .* a robot with a radius of \d+"):
         ProblemSet.sample(samples.SPEC, 0, 5, radius=5, movement=Movement(8))
 
 
