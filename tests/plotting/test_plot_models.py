@@ -77,7 +77,7 @@ def far_from_start(sample: Sample) -> torch.Tensor:
     return distance
 
 
-def assert_as_high(scale: Axes, axes: Axes) -> None:
+def assert_as_high(scale: Any, axes: Axes) -> None:
     """Check that a scale is as high as the map beside it, once the figure is laid out."""
     figure_of(axes).draw_without_rendering()
     scale_box, box = (each.get_window_extent() for each in (scale, axes))
