@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from mapdata.datasets import Sample as Sample
     from mapdata.datasets import Tiles as Tiles
     from mapdata.datasets import Waypoints as Waypoints
+    from mapdata.datasets import apply_symmetry as apply_symmetry
     from mapdata.evaluation import Plan as Plan
     from mapdata.evaluation import evaluate as evaluate
     from mapdata.generators import PRESETS as PRESETS
@@ -67,6 +68,7 @@ _FACES = {
         "Sample",
         "Tiles",
         "Waypoints",
+        "apply_symmetry",
     ),
     "evaluation": ("Plan", "evaluate"),
     "generators": (

@@ -63,4 +63,4 @@ NEURAL_ASTAR = Movement(8, corner_cutting=True, diagonal_cost=1)
 def check_movement(movement: object) -> None:
     """Raise a ValueError if ``movement`` is not a `Movement`."""
     if not isinstance(movement, Movement):
-        raise ValueError(f"movement: got {movement!r}, expected a Movement")
+        raise ValueError(f"movement: got {movement!r}, expected a Movement, such as Movement(8)")

@@ -15,6 +15,7 @@ from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.problem_set_dataset import ProblemSetDataset
 from mapdata.datasets.sample import Sample, row
 from mapdata.datasets.sampler import EpochSampler, LateLoader
+from mapdata.datasets.symmetry import apply_symmetry
 from mapdata.datasets.text import maze_text
 from mapdata.datasets.tiles import Tiles
 
@@ -35,6 +36,7 @@ __all__ = [
     "Sample",
     "Tiles",
     "Waypoints",
+    "apply_symmetry",
     "maze_text",
     "row",
 ]

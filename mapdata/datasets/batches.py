@@ -487,6 +487,7 @@ class BatchReader:
         # Row k holds the addresses of the `ARRAYS` of shard k, and zeros until it is opened.
         self._addresses = np.zeros((len(self.shards), len(ARRAYS)), np.int64)
         self._first_maps = np.array([entry.start for _, _, entry in self.shards])
+        self._first_indices = np.array([first + entry.start for _, first, entry in self.shards])
         self._open: dict[int, Shard] = {}
         # Row p is (map in its shard, room, room) of problem p. The rows of a shard are filled when
         # it is opened.
@@ -621,6 +622,10 @@ class BatchReader:
             terrain = np.empty((len(stored.shards), *self.map_size), np.uint8)
             read_terrain(self._addresses, stored.shards, stored.maps, terrain)
         return StoredMaps(self._first_maps[stored.shards] + stored.maps, grids, terrain)
+
+    def map_indices(self, stored: StoredProblems) -> Ints:
+        """Return the number of each map, (B,), counted over all roots, as in `Root.labels`."""
+        return self._first_indices[stored.shards] + stored.maps
 
     def seed_points(self, stored: StoredProblems, rooms: Ints) -> Ints:
         """Return the seed point of room ``rooms[b]`` of each map, (B, 2)."""

@@ -361,11 +361,22 @@ class MapDataModule(_Base):
 
 
 def _movement(argument: Any) -> Any:
-    """Return the `Movement` that a mapping or a sequence stands for; all else is unchanged."""
+    """Return the `Movement` that a mapping or a sequence stands for; None is unchanged.
+
+    Raises:
+        ValueError: it is none of these.
+    """
+    if argument is None or isinstance(argument, Movement):
+        return argument
     if isinstance(argument, Mapping):
         return Movement(**known_values("movement", argument, Movement))
     values = items_of(argument)
-    return Movement(*values) if values else argument
+    if not values:
+        raise ValueError(
+            f"movement: got {argument!r}, expected a Movement, or a mapping such as "
+            "{connectivity: 8}"
+        )
+    return Movement(*values)
 
 
 def _checked_loader_options(options: Mapping[str, Any] | None) -> dict[str, Any]:

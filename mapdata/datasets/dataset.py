@@ -317,7 +317,8 @@ class ProblemDataset(Dataset[Sample], ABC):
                 tensors.append(torch.from_numpy(array))
             else:
                 batch_so_far = sample_class(names[: len(tensors)])(*tensors)
-                tensors.append(torch.as_tensor(field(batch_so_far)))
+                count = len(batch.grids)
+                tensors.append(_field_tensor(names[len(tensors)], field(batch_so_far), count))
         sample: Sample = sample_class(names, self.serving.max_length)(*tensors)
         return sample
 
@@ -338,6 +339,10 @@ class SampledProblemDataset(ProblemDataset):
     @abstractmethod
     def _stored_maps(self, map_numbers: Ints) -> StoredMaps:
         """Return maps by their numbers in the split, before inflation."""
+
+    @abstractmethod
+    def _map_indices(self, map_numbers: Ints) -> Ints:
+        """Return the numbers in the dataset of maps that have these numbers in the split, (B,)."""
 
     @abstractmethod
     def _radius_in_cells(self) -> float:
@@ -400,7 +405,7 @@ class SampledProblemDataset(ProblemDataset):
         missing = np.flatnonzero(problems.ends[:, 0] < 0)
         while len(missing):
             if failed_draws > MAX_FAILED_DRAWS:
-                raise ValueError(f"problems={self.serving.problems}: none on one map after another")
+                raise ValueError(self._no_problem_complaint())
             attempt += 1
             maps[missing] = self._substitutes(indices[missing], attempt)
             sampled = self._sample(maps[missing], indices[missing], epoch, attempt)
@@ -417,6 +422,14 @@ class SampledProblemDataset(ProblemDataset):
         if problems.paths is not None:
             batch.paths = problems.paths
         return batch
+
+    def _no_problem_complaint(self) -> str:
+        """Return the error for conditions or a radius that no map meets."""
+        problems = self.serving.problems
+        remedy = "wider conditions" if isinstance(problems, Random) else "other maps"
+        if self.serving.radius:
+            remedy += f", or a smaller radius than {self.serving.radius:g} m"
+        return f"problems={problems}: none on one map after another; take {remedy}"
 
     def _sample(
         self, map_numbers: Ints, indices: Ints, epoch: int, attempt: int
@@ -477,6 +490,7 @@ class SampledProblemDataset(ProblemDataset):
             starts=starts,
             goals=goals,
             problems=indices,
+            compute_map_indices=lambda: self._map_indices(map_numbers),
             compute_rooms=lambda: self._rooms(map_numbers, grids, compute_stored_maps),
             compute_stored_maps=compute_stored_maps,
             symmetries=np.zeros(len(indices), np.int64),
@@ -534,7 +548,7 @@ class MapDataset(SampledProblemDataset):
         ShardError: a damaged or hostile file, found at its first touch, or at once where opening
             the dataset opens all shards.
         ValueError: arguments that do not fit, or that would do nothing; a dataset of which no
-            shard is finished.
+            shard is finished; a radius with which no problem has a path.
     """
 
     _opened = ("reader", "_selected")
@@ -580,6 +594,13 @@ class MapDataset(SampledProblemDataset):
         self.has_terrain = reader.has_terrain
         self._min_clearance = reader.min_clearance
         self._check_fields_on_terrain()
+        if radius and len(self) == 0 and len(self.reader) > 0:
+            rows, columns = self.map_size
+            raise ValueError(
+                f"radius: got {radius:g} m, with which none of the {len(self.reader)} problems of "
+                f"{', '.join(self.roots)} (split={split!r}) has a path; take a smaller radius (the "
+                f"maps are {rows} x {columns} cells of {reader.root.resolution:g} m)"
+            )
         # Labels are stored for one movement and for a robot without extent.
         self._labels_fit = self.movement == reader.movement and reader.min_clearance <= 1
 
@@ -787,6 +808,9 @@ class MapDataset(SampledProblemDataset):
         stored = self.reader.locate(map_numbers)
         return self.reader.stored_maps(stored, self.reader.grids(stored))
 
+    def _map_indices(self, map_numbers: Ints) -> Ints:
+        return self.reader.map_indices(self.reader.locate(map_numbers))
+
     def _radius_in_cells(self) -> float:
         radius = self.serving.radius
         return radius / self.reader.root.resolution if radius else 0.0
@@ -810,6 +834,26 @@ class MapDataset(SampledProblemDataset):
     def _substitutes(self, indices: Ints, attempt: int) -> Ints:
         """Return the maps that follow those of the samples; the first map follows the last."""
         return (indices + attempt) % len(self.reader)
+
+
+def _field_tensor(name: str, values: Any, count: int) -> Tensor:
+    """Return what a field function of the user returned for ``count`` problems, as a tensor.
+
+    Raises:
+        ValueError: it is no tensor with a row for each problem.
+    """
+    try:
+        tensor = torch.as_tensor(values)
+    except (TypeError, ValueError, RuntimeError):
+        returned = "None" if values is None else f"a {type(values).__name__}"
+    else:
+        if tensor.ndim and len(tensor) == count:
+            return tensor
+        returned = f"a tensor of shape {tuple(tensor.shape)}"
+    raise ValueError(
+        f"fields: the function {name} returned {returned} for a batch of {count} problems, "
+        f"expected a tensor whose first dimension is {count}"
+    )
 
 
 def _inflated_terrain(stored_maps: StoredMaps, grids: Bytes) -> Bytes:

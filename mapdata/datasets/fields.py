@@ -107,7 +107,8 @@ class Batch:
         grids: (B, H, W) uint8 occupancy as served, after symmetries and inflation.
         starts: (B, 2) int64.
         goals: (B, 2) int64.
-        problems: (B,) int64, numbers of the problems in the dataset.
+        problems: (B,) int64, numbers of the problems in their split.
+        compute_map_indices: returns the number of each map in the dataset, as `map_index` has it.
         compute_rooms: returns connection matrices and seed points.
         compute_stored_maps: returns the maps before symmetries and inflation.
         symmetries: (B,) int64, code of the symmetry of each map (`mapdata.problems.symmetry`); 0
@@ -125,6 +126,7 @@ class Batch:
     starts: Ints
     goals: Ints
     problems: Ints
+    compute_map_indices: Callable[[], Ints]
     compute_rooms: Callable[[], Rooms]
     compute_stored_maps: Callable[[], StoredMaps]
     symmetries: Ints
@@ -404,12 +406,31 @@ def seed_points(batch: Batch) -> Ints:
 
 
 def problem(batch: Batch) -> Ints:
-    """``problem``: (B,) int64, the problem's number in the dataset, before filters and radius.
+    """``problem``: (B,) int64, the problem's number in its split, before filters and radius.
 
-    Problems are counted that have a path under the stored movement. All problems are counted with
+    Each split counts from 0; a dataset of all splits counts all of their problems. Problems are
+    counted that have a path under the stored movement. All problems are counted with
     ``unsolvable=True``, and where the served movement cuts corners and the stored one does not.
     """
     return batch.problems
+
+
+def map_index(batch: Batch) -> Ints:
+    """``map_index``: (B,) int64, the number of the served map in the dataset, in all splits.
+
+    It is the number that `mapdata.read_shard` and `mapdata.generate` give the map. The maps of
+    several roots are numbered one root after another. Of a `ProblemSet` it is the number of the
+    map's grid; 0 where all problems share a grid.
+    """
+    return batch.compute_map_indices()
+
+
+def symmetry(batch: Batch) -> Ints:
+    """``symmetry``: (B,) int64, code of the symmetry that ``augment`` drew for the map, else 0.
+
+    `mapdata.apply_symmetry` applies it to your own values of the cells of the map.
+    """
+    return batch.symmetries
 
 
 @dataclass(frozen=True)
@@ -538,6 +559,8 @@ FIELDS: dict[str, Field] = {
         connection_matrix,
         seed_points,
         problem,
+        map_index,
+        symmetry,
         waypoints,
         image,
     )

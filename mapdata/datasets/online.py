@@ -55,7 +55,7 @@ class OnlineMapDataset(SampledProblemDataset):
             not draw the same map twice.
     """
 
-    _opened = ("_map_indices",)
+    _opened = ("_maps_of_split",)
 
     def __init__(
         self,
@@ -104,10 +104,10 @@ class OnlineMapDataset(SampledProblemDataset):
     def _open(self) -> None:
         # The indices of the split's maps in the recipe; None if these are all maps. The first
         # `length` maps are those of the samples. As many again are their substitutes.
-        self._map_indices = None
+        self._maps_of_split = None
         if self.split is not None:
             map_count = 2 * self.length
-            self._map_indices = maps_of_split(self.generator, self.seed, self.split, map_count)
+            self._maps_of_split = maps_of_split(self.generator, self.seed, self.split, map_count)
 
     def __len__(self) -> int:
         """Return the number of problems."""
@@ -149,8 +149,10 @@ class OnlineMapDataset(SampledProblemDataset):
 
     def _maps(self, map_numbers: Ints) -> Maps:
         """Return maps by their numbers in the split."""
-        indices = map_numbers if self._map_indices is None else self._map_indices[map_numbers]
-        return generate(self.generator, self.seed, indices)
+        return generate(self.generator, self.seed, self._map_indices(map_numbers))
+
+    def _map_indices(self, map_numbers: Ints) -> Ints:
+        return map_numbers if self._maps_of_split is None else self._maps_of_split[map_numbers]
 
     def _stored_maps(self, map_numbers: Ints) -> StoredMaps:
         return _as_stored_maps(self._maps(map_numbers))

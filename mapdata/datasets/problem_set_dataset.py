@@ -145,6 +145,7 @@ class ProblemSetDataset(ProblemDataset):
             starts=starts,
             goals=goals,
             problems=indices,
+            compute_map_indices=stored_maps.numbers.copy,
             compute_rooms=compute_rooms,
             compute_stored_maps=lambda: stored_maps,
             symmetries=np.zeros(len(indices), np.int64),

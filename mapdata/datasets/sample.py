@@ -67,6 +67,12 @@ def _restore(names: tuple[str, ...], capacity: int | None, tensors: tuple[Any, .
     return sample
 
 
+# `torch.load` refuses functions that it does not know, unless they are declared safe. This one runs
+# no code of the file: `namedtuple` refuses names of fields that are no plain identifiers.
+if hasattr(torch.serialization, "add_safe_globals"):  # from torch 2.4 on
+    torch.serialization.add_safe_globals([_restore])
+
+
 @dataclass(eq=False)
 class Rows(Sequence[Sample]):
     """A whole batch that a DataLoader may treat as a list of samples.

@@ -82,9 +82,16 @@ def plot_sample(sample: tuple[Any, ...], axes: Axes | None = None) -> Axes:
         dense_names = ["terrain"]
     if dense_names:
         name = dense_names[0]
-        is_hidden = (grid == 1) | (fields[name] < 0)
-        image = shade_cells(axes, fields[name][0], is_hidden[0])
-        axes.figure.colorbar(image, ax=axes, label=name, shrink=0.8)
+        dense = fields[name]
+        is_hidden = (grid == 1) | (dense < 0)
+        if name == "heuristic_ratio":
+            is_hidden |= dense == 0  # cells that cannot reach the goal
+        image = shade_cells(axes, dense[0], is_hidden[0])
+        if name == "heuristic_ratio":
+            # Most ratios are nearly 1, so a scale from 0 on would make all of them equally dark.
+            image.set_clim(dense[~is_hidden].min(initial=0.9), 1)
+        scale_axes = axes.inset_axes((1.03, 0, 0.05, 1))  # as high as the map
+        axes.figure.colorbar(image, cax=scale_axes, label=name)
     title_parts = []
     if "path" in fields:
         path = _without_padding(fields["path"])

@@ -347,10 +347,21 @@ class ProblemSet:
         Raises:
             DatasetNotFoundError: there is no dataset under ``root``.
             ShardError: it is damaged.
-            ValueError: no such split; what `sample` refuses.
+            ValueError: no such split, or one without maps; what `sample` refuses.
         """
         check_choice("split", split, SPLITS)
         dataset = Root.open(root)
+        dataset.check_begun()
+        map_counts = {
+            name: sum(shard.entry.counts[name]["maps"] for shard in dataset.shards)
+            for name in SPLITS
+        }
+        if map_counts[split] == 0:
+            numbers = ", ".join(f"{name} {count}" for name, count in map_counts.items())
+            raise ValueError(
+                f"split: got {split!r}, which has 0 maps in {dataset} ({numbers}); expected a "
+                "split with maps"
+            )
         if seed is None:
             seed = dataset.manifests[0].seed or 0
         code = SPLITS.index(split)
@@ -506,7 +517,10 @@ def _sample_until(
         if hard_count == until_hard:
             break
     if not any(len(part.indices) for part in parts):
-        raise ValueError(f"{source}: no map has a problem that meets {problems}")
+        robot = ""
+        if min_clearance > 1:  # obstacles are inflated
+            robot = f" for a robot with a radius of {_inflation(min_clearance):.3g} cells"
+        raise ValueError(f"{source}: no map has a problem that meets {problems}{robot}")
     if until_hard is not None and hard_count < until_hard:
         raise ValueError(
             f"until_hard: got {until_hard}, found only {hard_count} hard problems on {source}"
@@ -514,8 +528,7 @@ def _sample_until(
     indices = np.concatenate([part.indices for part in parts])
     description = f"maps {indices[0]} to {indices[-1]} of {source}, problems by seed {seed}"
     if min_clearance > 0:
-        inflation = math.sqrt(min_clearance) / 2  # `min_clearance` is in half cells, squared
-        description += f", inflated by {inflation:.3g} cells"
+        description += f", inflated by {_inflation(min_clearance):.3g} cells"
     # The maps of a source all have terrain, or none has.
     terrains = [part.terrain for part in parts if part.terrain is not None]
     return ProblemSet(
@@ -526,6 +539,11 @@ def _sample_until(
         description,
         np.concatenate(terrains) if terrains else None,
     )
+
+
+def _inflation(min_clearance: int) -> float:
+    """Return a clearance in cells; ``min_clearance`` is in half cells, squared."""
+    return math.sqrt(min_clearance) / 2
 
 
 def _sample_on(

@@ -236,6 +236,8 @@ def read_manifest(root: Path) -> Manifest:
             )
             raise DatasetNotFoundError(root, why, hint) from None
         why = f"no {MANIFEST} there" if root.is_dir() else "it does not exist"
+        if not root.is_absolute():  # a program may have changed its working folder
+            why += f" (that is {root.absolute()})"
         raise DatasetNotFoundError(root, why, _subfolder_hint(root)) from None
 
 

@@ -933,6 +933,10 @@ REFUSED: dict[str, tuple[Callable[[], MapDataModule], str]] = {
         "batch_size: got 0, expected an integer of at least 1",
     ),
     "movement": (lambda: MapDataModule("a", movement=(6, False, 1.0)), "connectivity: got 6"),
+    "movement as a number": (
+        lambda: MapDataModule("a", movement=8),  # type: ignore[arg-type]
+        r"movement: got 8, expected a Movement, or a mapping such as \{connectivity: 8\}",
+    ),
     "movement-name": (
         lambda: MapDataModule("a", movement={"conectivity": 8}),
         "movement: unknown key: conectivity; .* did you mean connectivity",

@@ -41,7 +41,9 @@ from mapdata import (
     Route,
     Sample,
     ShardError,
+    apply_symmetry,
     generate,
+    inflate,
     label,
 )
 from mapdata.datasets.arguments import FieldFunction
@@ -310,6 +312,75 @@ def test_epochs_are_in_the_index(root: str, online: bool) -> None:
     samples.assert_same(stored.__getitems__([3 + 7 * len(stored)]).batch, stored[3:4])
 
 
+# --- map_index and symmetry ---------------------------------------------------------------------
+
+RARE = Random(distance=(22, None))
+"""Problems that many of the small maps do not have, so that other maps are served instead."""
+
+
+def assert_served_by_number(batch: Sample, occupancy: Array) -> None:
+    """Check that the maps of a batch are those that `map_index` names, after `symmetry`.
+
+    Args:
+        batch: with the fields ``map``, ``map_index`` and ``symmetry``.
+        occupancy: (N, H, W), all maps of the dataset.
+    """
+    served = torch.from_numpy(occupancy)[batch.map_index][:, None]
+    assert torch.equal(apply_symmetry(served, batch.symmetry), batch.map)
+
+
+@pytest.mark.parametrize("split", [None, *SPLITS])
+@pytest.mark.parametrize("problems", ["route", Pairs(unsolvable=True), "random", RARE], ids=str)
+@pytest.mark.parametrize("name", SPECS)
+def test_map_index_is_the_number_of_the_served_map_in_all_splits(
+    roots: dict[str, str], name: str, problems: str | Pairs | Random, split: str | None
+) -> None:
+    """It is that of `generate` and `read_shard`, for substitutes, online and mirrored maps, too."""
+    how: dict[str, Any] = {
+        "fields": ("map", "problem", "map_index", "symmetry"),
+        "problems": problems,
+        "augment": split in (None, "train"),
+    }
+    stored = MapDataset(roots[name], split, **how)
+    occupancy = labels_of(name).maps.occupancy
+    for epoch in (0, 1):
+        batch = stored.__getitems__(np.arange(len(stored)) + epoch * len(stored)).batch
+        assert_served_by_number(batch, occupancy)
+        if split is not None:
+            splits = labels_of(name).maps.split[batch.map_index]
+            assert set(splits.tolist()) == {SPLITS.index(split)}
+    if problems is RARE and split is None:
+        assert (batch.map_index != batch.problem).sum() > MAPS / 10
+    online = OnlineMapDataset(SPECS[name], SEED, 12, split, **how)[:]
+    assert_served_by_number(online, generate(SPECS[name], SEED, range(500)).occupancy)
+
+
+def test_map_index_stays_under_filters_and_a_radius(root: str) -> None:
+    """Problems are left out, and the maps of the others keep their numbers."""
+    fields = ("map", "map_index", "symmetry")
+    labels = labels_of("square")
+    filtered = MapDataset(root, "train", fields).filter(rooms=(4, 9))
+    assert 0 < len(filtered) < len(MapDataset(root, "train"))
+    assert_served_by_number(filtered[:], labels.maps.occupancy)
+    robot = MapDataset(root, "train", fields, radius=0.1)
+    inflated = [inflate(grid, 0.1 / SPECS["square"].resolution) for grid in labels.maps.occupancy]
+    assert_served_by_number(robot[:], np.stack(inflated))
+
+
+def test_map_index_counts_the_maps_of_several_roots_one_root_after_another(
+    roots: dict[str, str],
+) -> None:
+    """As the tables do: map i of the second root has the number of maps of the first, plus i."""
+    fields = ("map", "map_index", "symmetry")
+    occupancy = labels_of("square").maps.occupancy
+    for problems in ("route", "random"):
+        dataset = MapDataset([roots["square"]] * 2, "val", fields, problems=problems)
+        batch = dataset[:]
+        assert_served_by_number(batch, np.concatenate([occupancy, occupancy]))
+        assert set(batch.map_index.tolist()) == set(dataset.table()["item"])
+    assert batch.map_index.max() >= MAPS
+
+
 # --- random problems ----------------------------------------------------------------------------
 
 
@@ -434,7 +505,15 @@ GRID_FIELDS = (
     "clearance",
 )
 CELL_FIELDS = ("start", "goal", "path", "seed_points")
-UNTURNED_FIELDS = ("length", "cost", "hardness", "iterations", "connection_matrix", "problem")
+UNTURNED_FIELDS = (
+    "length",
+    "cost",
+    "hardness",
+    "iterations",
+    "connection_matrix",
+    "problem",
+    "map_index",
+)
 
 
 def turned_grid(grid: Array, code: int) -> Array:
@@ -533,6 +612,7 @@ def test_an_augmented_sample_is_a_symmetry_of_the_plain_one(
                 np.testing.assert_array_equal(turned[field], expected, field)
             for field in UNTURNED_FIELDS:
                 np.testing.assert_array_equal(turned[field], sample[field], field)
+            assert (sample["symmetry"], turned["symmetry"]) == (0, code)
             expected = turned_moves(sample["optimal_moves"][0], code)
             np.testing.assert_array_equal(turned["optimal_moves"][0], expected)
             expected = turned_points(sample["waypoints"], code, shape)
@@ -540,8 +620,9 @@ def test_an_augmented_sample_is_a_symmetry_of_the_plain_one(
             for channel, turned_channel in zip(sample["image"], turned["image"], strict=True):
                 np.testing.assert_array_equal(turned_channel, turned_grid(channel, code))
     assert codes == set(range(last_code + 1))
-    checked = {*GRID_FIELDS, *CELL_FIELDS, *UNTURNED_FIELDS, "optimal_moves", "waypoints", "image"}
-    assert checked == {*samples.ALL_FIELDS}
+    checked = {*GRID_FIELDS, *CELL_FIELDS, *UNTURNED_FIELDS}
+    others = {"optimal_moves", "waypoints", "image", "symmetry"}
+    assert checked | others == {*samples.ALL_FIELDS}
 
 
 def test_augmentation_is_drawn_anew_each_epoch(root: str) -> None:
@@ -821,7 +902,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "problems": ({"problems": "all"}, "problems: got 'all', expected one of route, pairs, random"),
     "search": ({"search": "dijkstra"}, "search: got 'dijkstra', expected one of bfs, astar"),
-    "movement": ({"movement": 8}, "movement: got 8, expected a Movement"),
+    "movement": ({"movement": 8}, r"movement: got 8, .* such as Movement\(8\)"),
     "unsolvable": (
         {"problems": {"random": {"unsolvable": True}}},
         "problems: random: unknown key: unsolvable; known are",
@@ -889,6 +970,16 @@ def test_refused_arguments_of_one_dataset(root: str) -> None:
         MapDataset(root, problems="random").filter(rooms=(2, 3))
 
 
+def test_a_missing_dataset_of_a_relative_path_says_where_it_was_sought(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A program may have changed its working folder, as Hydra does on request."""
+    monkeypatch.chdir(tmp_path)
+    path = re.escape(str(tmp_path / "data" / "maps"))
+    with pytest.raises(DatasetNotFoundError, match=rf"it does not exist \(that is {path}\)\. Make"):
+        MapDataset("data/maps")
+
+
 def test_a_missing_dataset_says_what_was_looked_for(tmp_path: Path) -> None:
     """The folder, what is not there, and the command and the argument that make one."""
     (tmp_path / "empty").mkdir()
@@ -914,6 +1005,41 @@ def test_a_worker_misses_a_dataset_as_its_parent_would(root: str, tmp_path: Path
     with pytest.raises(DatasetNotFoundError) as error:
         next(iter(loader))
     assert str(error.value).count("Make one with 'mapdata build") == 1
+
+
+def seven_numbers(batch: Sample) -> torch.Tensor:
+    """Return a number of rows that has nothing to do with the batch."""
+    del batch
+    return torch.zeros(7)
+
+
+def mean_cost(batch: Sample) -> torch.Tensor:
+    """Return one number for the whole batch."""
+    mean: torch.Tensor = batch.cost.mean()
+    return mean
+
+
+def nothing(batch: Sample) -> None:
+    """Return nothing, as after a forgotten return."""
+
+
+WRONG_FIELDS: dict[str, tuple[FieldFunction, str]] = {
+    "other rows": (seven_numbers, r"seven_numbers returned a tensor of shape \(7,\)"),
+    "a mean": (mean_cost, r"mean_cost returned a tensor of shape \(\)"),
+    "nothing": (nothing, "nothing returned None"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_FIELDS)
+def test_a_field_function_that_returns_no_row_for_each_problem_is_refused(
+    root: str, case: str
+) -> None:
+    """The message names the function, what it returned and what is expected."""
+    function, complaint = WRONG_FIELDS[case]
+    dataset = MapDataset(root, fields=("cost", function))
+    expected = "a batch of 32 problems, expected a tensor whose first dimension is 32"
+    with pytest.raises(ValueError, match=f"fields: the function {complaint} for {expected}"):
+        dataset[:32]
 
 
 # --- processes ----------------------------------------------------------------------------------

@@ -81,6 +81,7 @@ def batch_of(problems: list[Problem], movement: Movement, search: str = "astar")
         starts=np.array([one.start for one in problems]),
         goals=np.array([one.goal for one in problems]),
         problems=np.arange(len(problems)),
+        compute_map_indices=lambda: 3 * np.arange(len(problems)),
         compute_paths=lambda: paths,
         compute_rooms=no_rooms,
         compute_stored_maps=lambda: StoredMaps(np.arange(len(problems)), grids, None),
@@ -199,6 +200,8 @@ def test_fields_of_the_path(shape: tuple[int, int], movement: Movement, search: 
         np.testing.assert_array_equal(found["terrain"][k, 0], 1 - problem.grid)
         assert (*found["start"][k], *found["goal"][k]) == (*problem.start, *problem.goal)
         assert found["problem"][k] == k
+        assert found["map_index"][k] == 3 * k
+        assert found["symmetry"][k] == 0
 
 
 def hardness_of(problem: Problem, movement: Movement) -> float:
@@ -328,6 +331,8 @@ TABLE: dict[str, tuple[tuple[int, ...], torch.dtype]] = {
     "connection_matrix": ((B, R, R), torch.float32),
     "seed_points": ((B, R, 2), torch.int64),
     "problem": ((B,), torch.int64),
+    "map_index": ((B,), torch.int64),
+    "symmetry": ((B,), torch.int64),
     "waypoints": ((B, 32, 2), torch.float32),
     "image": ((B, 3, 8 * H, 8 * W), torch.uint8),
 }

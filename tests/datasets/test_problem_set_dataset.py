@@ -15,7 +15,14 @@ from helpers import samples
 from helpers.grids import scipy_distances
 from torch.utils.data import DataLoader
 
-from mapdata import Movement, ProblemSet, ProblemSetDataset, Sample, search_batch
+from mapdata import (
+    Movement,
+    ProblemSet,
+    ProblemSetDataset,
+    Sample,
+    apply_symmetry,
+    search_batch,
+)
 from mapdata.arrays import Bytes
 from mapdata.datasets import DatasetInfo, EpochSampler, FieldInfo
 from mapdata.datasets.arguments import FieldFunction
@@ -141,13 +148,14 @@ def test_all_fields_and_options_are_those_of_other_datasets() -> None:
 def test_augmentation_moves_all_fields_alike() -> None:
     """In each epoch other symmetries are drawn; costs stay, and paths connect start and goal."""
     problems = problem_set(Movement(8))
-    fields = ("map", "start", "goal", "path", "cost", "path_mask", "problem")
+    fields = ("map", "start", "goal", "path", "cost", "path_mask", "problem", "symmetry")
     plain = ProblemSetDataset(problems, fields)
     dataset = ProblemSetDataset(problems, fields, augment=True, sampling_seed=3)
     changed = []
     for epoch in range(3):
         batch = dataset[np.arange(40) + epoch * 40]
         assert torch.equal(batch.cost, plain[:].cost)
+        assert torch.equal(apply_symmetry(plain[:].map, batch.symmetry), batch.map)
         assert batch.problem.tolist() == list(range(40))
         solved = search_batch(
             "astar", batch.map[:, 0].numpy(), batch.start, batch.goal, Movement(8)
@@ -163,6 +171,17 @@ def test_augmentation_moves_all_fields_alike() -> None:
     assert not torch.equal(changed[0], changed[1])
     again = ProblemSetDataset(problems, fields, augment=True, sampling_seed=3)
     samples.assert_same(again[np.arange(40) + 80], batch)
+
+
+def test_map_index_is_the_number_of_the_grid() -> None:
+    """That of the problem, or 0 for all problems that share a grid."""
+    dataset = ProblemSetDataset(problem_set(Movement(8)), ("problem", "map_index"))
+    batch = dataset[[5, 2, 5]]
+    assert batch.map_index.tolist() == [5, 2, 5]
+    batch.map_index[:] = 0
+    assert batch.problem.tolist() == [5, 2, 5]  # another tensor
+    shared = ProblemSetDataset(shared_set(4), ("map_index",))
+    assert shared[:].map_index.tolist() == [0, 0, 0, 0]
 
 
 def test_an_epoch_sampler_serves_every_problem_once() -> None:

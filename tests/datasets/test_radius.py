@@ -192,7 +192,7 @@ def assert_true(sample: Sample, grid: Array, search: str, movement: Movement) ->
         "path_probability": probabilities(found.path, costs, grid, movement),
         "clearance": clearance(grid),
     }
-    others = {
+    numbers = {
         "length": len(found.path),
         "cost": found.cost,
         "hardness": best / on_empty[start] if solvable else -1,
@@ -200,12 +200,14 @@ def assert_true(sample: Sample, grid: Array, search: str, movement: Movement) ->
         "connection_matrix": connections(points, grid, search, movement, size),
     }
     assert samples.cells_of(sample.path) == [tuple(cell) for cell in found.path.tolist()]
-    expected = {name: layer[None] for name, layer in layers.items()} | others
+    expected = {name: layer[None] for name, layer in layers.items()} | numbers
     for name, truth in expected.items():
         value = np.asarray(getattr(sample, name), float)
         assert value.shape == np.shape(truth), name
         np.testing.assert_allclose(value, truth, rtol=1e-5, err_msg=name)
-    assert {*expected, "start", "goal", "path", "seed_points", "problem"} == {*INFLATED_FIELDS}
+    assert sample.symmetry == 0
+    others = {"start", "goal", "path", "seed_points", "problem", "map_index", "symmetry"}
+    assert {*expected, *others} == {*INFLATED_FIELDS}
 
 
 CASES: list[tuple[str, str, str, Movement | None]] = [
@@ -418,9 +420,16 @@ def test_a_bad_radius_is_named(roots: dict[str, str], radius: Any, door: str) ->
 
 
 def test_a_robot_that_fits_nowhere(roots: dict[str, str]) -> None:
-    """Nothing is left of routes, random problems are none, and the unsolvable ones have no path."""
+    """Problems with a path are none, which the messages say, and unsolvable ones have no path."""
     root = roots["square"]
-    assert len(MapDataset(root, radius=5)) == 0
+    message = (
+        r"radius: got 5 m, with which none of the \d+ problems of .* has a path; take a smaller"
+    )
+    for split in (None, "val"):
+        with pytest.raises(ValueError, match=message):
+            MapDataset(root, split, radius=5)
+    with pytest.raises(ValueError, match=message):
+        MapDataModule(root, radius=5).train_dataloader()
     every = MapDataset(root, problems=Pairs(True), radius=5, fields=INFLATED_FIELDS)[:]
     assert (every.map == 1).all()
     assert (every.cost == -1).all()
@@ -431,14 +440,15 @@ def test_a_robot_that_fits_nowhere(roots: dict[str, str]) -> None:
     assert (every.iterations == 0).all()
     assert (every.optimal_moves == 0).all()
     assert (every.optimal_mask == 0).all()
-    for dataset in (
-        MapDataset(root, problems="random", radius=5),
-        OnlineMapDataset(samples.SPEC, problems="random", radius=5),
-        OnlineMapDataset(samples.SPEC, radius=5),
+    wider = "take wider conditions, or a smaller radius than 5 m"
+    for dataset, remedy in (
+        (MapDataset(root, problems="random", radius=5), wider),
+        (OnlineMapDataset(samples.SPEC, problems="random", radius=5), wider),
+        (OnlineMapDataset(samples.SPEC, radius=5), "take other maps, or a smaller radius than 5 m"),
     ):
-        with pytest.raises(ValueError, match="none on one map after another"):
+        with pytest.raises(ValueError, match=f"none on one map after another; {remedy}"):
             dataset[0]
-    with pytest.raises(ValueError, match="no map has a problem"):
+    with pytest.raises(ValueError, match=r"no map has a problem .* a robot with a radius of \d+"):
         ProblemSet.sample(samples.SPEC, 0, 5, radius=5, movement=Movement(8))
 
 

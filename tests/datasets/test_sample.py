@@ -25,7 +25,7 @@ from torch.utils.data._utils.pin_memory import pin_memory
 
 from mapdata import MapDataset, OnlineMapDataset, Sample
 from mapdata.datasets import row
-from mapdata.datasets.sample import Rows, sample_class, stack
+from mapdata.datasets.sample import Rows, _restore, sample_class, stack
 
 
 @pytest.fixture(scope="module")
@@ -228,11 +228,39 @@ def test_samples_pickle(root: str, protocol: int) -> None:
             samples.assert_same(again, sample)
 
 
+# Older versions of torch load with `weights_only=False` unless they are told otherwise.
+needs_torch_2_4 = pytest.mark.skipif(
+    not hasattr(torch.serialization, "add_safe_globals"), reason="torch older than 2.4"
+)
+
+
+@needs_torch_2_4
 def test_torch_saves_samples(root: str, tmp_path: Path) -> None:
-    """`torch.save` keeps names (loading takes `weights_only=False`, as for any class)."""
-    batch = MapDataset(root)[:5]
-    torch.save(batch, tmp_path / "batch.pt")
-    samples.assert_same(torch.load(tmp_path / "batch.pt", weights_only=False), batch)
+    """`torch.save` keeps names, and `torch.load` needs no `weights_only=False`."""
+    for max_length in (None, 90):
+        dataset = MapDataset(root, max_length=max_length)
+        for sample in (dataset[:5], dataset[3]):
+            torch.save(sample, tmp_path / "sample.pt")
+            for weights_only in (True, False):
+                again = torch.load(tmp_path / "sample.pt", weights_only=weights_only)
+                assert type(again) is type(sample)
+                samples.assert_same(again, sample)
+
+
+@needs_torch_2_4
+def test_a_saved_sample_runs_no_code(tmp_path: Path) -> None:
+    """Names of fields that are no identifiers are refused, since they become names of a class."""
+
+    class Hostile:
+        """Pickles as a sample with a bad name."""
+
+        def __reduce__(self) -> tuple[Any, ...]:
+            names = ("map=print('run')",)
+            return _restore, (names, None, (1,))
+
+    torch.save(Hostile(), tmp_path / "sample.pt")
+    with pytest.raises(Exception, match="must be valid identifiers"):
+        torch.load(tmp_path / "sample.pt", weights_only=True)
 
 
 def test_pinning_keeps_names(root: str, monkeypatch: pytest.MonkeyPatch) -> None:

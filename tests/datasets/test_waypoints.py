@@ -200,6 +200,7 @@ def test_a_path_through_a_wall_is_named() -> None:
         starts=path[:1],
         goals=path[2:],
         problems=np.array([17]),
+        compute_map_indices=lambda: np.array([5]),
         compute_rooms=no_rooms,
         compute_stored_maps=lambda: StoredMaps(np.array([5]), wall, None),
         symmetries=np.zeros(1, np.int64),

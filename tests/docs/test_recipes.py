@@ -35,6 +35,23 @@ def test_each_python_block_is_a_program_that_is_run() -> None:
     ]
 
 
+def test_a_configuration_can_name_a_field_function(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The line of the page gives the data module the function itself."""
+    instantiate = pytest.importorskip("hydra.utils").instantiate
+    create = pytest.importorskip("omegaconf").OmegaConf.create
+    page = (DOCS / "recipes.md").read_text(encoding="utf-8")
+    (line,) = re.findall(r"`(fields: \[.*get_method.*\])`", page)
+    (tmp_path / "my_fields.py").write_text(
+        "def steps_to_wall(batch):\n    return batch.map\n", encoding="utf-8"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    data = instantiate(create({"_target_": "mapdata.MapDataModule", **create(line)}))
+    assert data.serving.names == ("map", "goal_mask", "steps_to_wall")
+    assert data.serving.fields[2].__module__ == "my_fields"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("package", PROGRAMS)
 def test_the_program_runs(package: str, tmp_path: Path) -> None:

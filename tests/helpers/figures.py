@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +26,8 @@ def assert_tidy(figure: Figure) -> None:
     figure.draw_without_rendering()
     page = figure.bbox.padded(0.5)
     boxes = {}
-    for k, axes in enumerate(figure.axes):
+    insets: list[Any] = [inset for axes in figure.axes for inset in axes.child_axes]
+    for k, axes in enumerate([*figure.axes, *insets]):
         words = [axes.title, axes.xaxis.label, axes.yaxis.label, *_ticks(axes), axes.get_legend()]
         for number, word in enumerate(words):
             if word is None or not word.get_visible():

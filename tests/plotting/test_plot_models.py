@@ -12,6 +12,7 @@ import pytest
 import torch
 from helpers.figures import assert_lines, assert_tidy, drawn, ends_of, figure_of
 from helpers.samples import WIDE, build_small
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PathCollection
 
 from mapdata import MapDataset, Maze, OnlineMapDataset, Sample, Terrain, generate
@@ -76,20 +77,34 @@ def far_from_start(sample: Sample) -> torch.Tensor:
     return distance
 
 
+def assert_as_high(scale: Any, axes: Axes) -> None:
+    """Check that a scale is as high as the map beside it, once the figure is laid out."""
+    figure_of(axes).draw_without_rendering()
+    scale_box, box = (each.get_window_extent() for each in (scale, axes))
+    assert (scale_box.y0, scale_box.y1) == pytest.approx((box.y0, box.y1))
+
+
+@pytest.mark.parametrize("number", [3, 9])
 @pytest.mark.parametrize("field", ["cost_to_go", "heuristic_ratio", far_from_start])
-def test_first_dense_field_is_a_shade(tmp_path: Path, field: Any) -> None:
+def test_first_dense_field_is_a_shade(tmp_path: Path, field: Any, number: int) -> None:
     """It shows values of free cells that reach the goal, with a scale that bears the
     field's name.
     """
     fields = ("map", "goal_mask", "start", "goal", field, "path_probability")
-    sample = MapDataset(build_small(tmp_path / "d", WIDE), fields=fields)[3]
+    sample = MapDataset(build_small(tmp_path / "d", WIDE), fields=fields)[number]
     axes = plot_sample(sample)
     _, shade = axes.get_images()
     values: Any = shade.get_array()
     truth = np.asarray(sample[4][0])
-    np.testing.assert_array_equal(values.mask, (np.asarray(sample.map[0]) == 1) | (truth < 0))
+    is_ratio = field == "heuristic_ratio"  # it is 0 on cells that do not reach the goal
+    no_value = truth <= 0 if is_ratio else truth < 0
+    np.testing.assert_array_equal(values.mask, (np.asarray(sample.map[0]) == 1) | no_value)
     np.testing.assert_array_equal(values.compressed(), truth[~values.mask])
-    assert axes.figure.axes[1].get_ylabel() == sample._fields[4]
+    expected = (min(values.min(), 0.9), 1) if is_ratio else (0, values.max())
+    assert shade.get_clim() == pytest.approx(expected)
+    (scale,) = axes.child_axes
+    assert scale.get_ylabel() == sample._fields[4]
+    assert_as_high(scale, axes)
     assert_tidy(figure_of(axes))
 
 
@@ -104,12 +119,12 @@ def test_costs_of_terrain_are_a_shade_unless_another_field_is_dense() -> None:
     assert terrain is not None
     np.testing.assert_array_equal(values.mask, terrain[0] == 0)
     np.testing.assert_array_equal(values.compressed(), terrain[0][terrain[0] > 0])
-    assert axes.figure.axes[1].get_ylabel() == "terrain"
+    assert axes.child_axes[0].get_ylabel() == "terrain"
     assert [text.get_text() for text in axes.texts] == ["S", "G"]
     assert len(axes.get_lines()) == 1
     assert_tidy(figure_of(axes))
     dense = OnlineMapDataset(hills, 3, 4, fields=("terrain", "cost_to_go")).plot(1)
-    assert dense.figure.axes[1].get_ylabel() == "cost_to_go"
+    assert dense.child_axes[0].get_ylabel() == "cost_to_go"
     uniform = OnlineMapDataset(Maze((9, 11)), 3, 4, fields=("map", "terrain"))
     assert len(plot_sample(uniform[0]).get_images()) == 1
 

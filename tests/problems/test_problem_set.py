@@ -204,6 +204,14 @@ def test_a_dataset_gives_the_problems_of_its_spec(tmp_path: Path) -> None:
         ProblemSet.read(tmp_path, split="validation", movement=Movement(8))
 
 
+def test_a_split_without_maps_is_named(tmp_path: Path) -> None:
+    """With the number of maps of each split: the conditions are not to blame."""
+    build(tmp_path, replace(TINY, splits=(1.0, 0.0, 0.0)), maps=3, workers=1)
+    message = r"split: got 'test', which has 0 maps in .* \(train 3, val 0, test 0\)"
+    with pytest.raises(ValueError, match=message):
+        ProblemSet.read(tmp_path, movement=Movement(8))
+
+
 def test_the_arrays_cannot_be_written() -> None:
     """They are copies: neither the caller's arrays nor a planner changes the problems."""
     grids = np.zeros((1, 2, 3), np.uint8)
