@@ -193,6 +193,7 @@ class TrainingCli(LightningCLI):
         file = self.config.fit.weights
         if file is not None and self.trainer.is_global_zero:
             self.model.save(file)
+            print(f"wrote {file}")
 
 
 class PlannerCli(TrainingCli):

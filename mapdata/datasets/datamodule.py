@@ -321,13 +321,14 @@ class MapDataModule(_Base):
         )
 
     def plot(self, batch: Sample | None = None, split: str = "train") -> Axes:
-        """Draw the first 9 samples of a batch: maps, starts S, goals G and paths.
+        """Draw 9 samples: maps, starts S, goals G and paths.
 
         ``datamodule.plot().figure.savefig("batch.png")`` writes a picture.
 
         Args:
-            batch: what a loader gives, with the field ``map`` or ``free``; None for the first
-                samples of the split in the order of its dataset, without a ``transform``.
+            batch: what a loader gives, with the field ``map`` or ``free``, of which the first
+                samples are drawn; None for samples at equal steps of the split's dataset, which
+                are of different maps, without a ``transform``.
             split: "train", "val" or "test"; it matters without a batch only.
 
         Returns:
@@ -345,7 +346,8 @@ class MapDataModule(_Base):
         if split not in self.datasets:
             self.setup({"train": "fit", "val": "validate", "test": "test"}[split])
         dataset = self.datasets[split]
-        return dataset.plot(range(min(MAX_SAMPLES, len(dataset))))
+        count = min(MAX_SAMPLES, len(dataset))
+        return dataset.plot([k * len(dataset) // count for k in range(count)])
 
     def on_after_batch_transfer(self, batch: Any, dataloader_idx: int) -> Any:
         """Cast maps and masks to the type of the model, on the device of the batch.

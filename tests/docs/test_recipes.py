@@ -31,7 +31,7 @@ def test_each_python_block_is_a_program_that_is_run() -> None:
     texts = [block.text for block in BLOCKS if block.language == "python"]
     assert texts == list(PROGRAMS.values())
     assert [block.text for block in BLOCKS if block.language == "sh"] == [
-        "mapdata build data/maps --preset dungeon --maps 200\n"
+        "mapdata build data/dungeon --preset dungeon --maps 500\n"
     ]
 
 
@@ -58,7 +58,7 @@ def test_the_program_runs(package: str, tmp_path: Path) -> None:
     """In a process of its own, in a folder with the dataset and the configuration of the page."""
     if importlib.util.find_spec(package) is None:
         pytest.skip(f"needs pip install {package}")
-    build(tmp_path / "data" / "maps", "dungeon", maps=200)
+    build(tmp_path / "data" / "dungeon", "dungeon", maps=500)
     (configuration,) = (block.text for block in BLOCKS if block.language == "yaml")
     (tmp_path / "conf").mkdir()
     (tmp_path / "conf" / "config.yaml").write_text(configuration, encoding="utf-8")
@@ -73,4 +73,4 @@ def test_the_program_runs(package: str, tmp_path: Path) -> None:
         check=False,
     )
     assert process.returncode == 0, process.stderr
-    assert package != "hydra" or "1 epoch of 3 steps" in process.stdout
+    assert package != "hydra" or "1 epoch of 7 steps" in process.stdout

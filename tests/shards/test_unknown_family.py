@@ -282,7 +282,7 @@ def test_maps_of_a_class_that_has_changed_are_read(
     flags = ("--import", "pillars")
     assert exit_code("verify", "maps", *flags) == 0
     well, note = capsys.readouterr().out.splitlines()
-    assert well == "maps: all is well"
+    assert well == "maps: no faults found"
     assert re.fullmatch(
         f"note: maps: the parameters of its recipe were not checked, since {reason}", note
     )
