@@ -141,7 +141,9 @@ class _CompileListener(event.Listener):
         from tqdm.auto import tqdm
 
         self.announced.add(module)
-        tqdm.write(f"compiling kernels for {module} (kept for later runs) ...", file=sys.stderr)
+        # Another process may compile other kernels of the same module: those of other features.
+        how_often = "once per feature, kept for later runs"
+        tqdm.write(f"compiling kernels for {module} ({how_often}) ...", file=sys.stderr)
 
     def on_end(self, ended: event.Event) -> None:
         """Add up the time and turn the garbage collector on, if the kernel is ready."""

@@ -147,7 +147,8 @@ def test_long_compiling_is_announced_by_module(copy: Copy) -> None:
     copy.edit("jit.py", "_SECONDS_BEFORE_MESSAGE = 1e6", "_SECONDS_BEFORE_MESSAGE = 0.0")
     code = "mapdata.generate(mapdata.MapSpec(), 0, [0])"
     assert copy.run(code).stderr.splitlines() == [
-        f"compiling kernels for mapdata.generators.{module} (kept for later runs) ..."
+        f"compiling kernels for mapdata.generators.{module} "
+        "(once per feature, kept for later runs) ..."
         for module in ("splits", "rooms")
     ]
     assert copy.run(code).stderr == ""
@@ -185,7 +186,7 @@ def test_compiling_is_announced_when_patience_ends(
         listener.on_end(started)
         assert gc.isenabled()
     assert waits == [(0.5, "mapdata.rng"), (pytest.approx(0.3), "mapdata.rng")]
-    line = "compiling kernels for mapdata.rng (kept for later runs) ...\n"
+    line = "compiling kernels for mapdata.rng (once per feature, kept for later runs) ...\n"
     assert capsys.readouterr().err == line
 
 
