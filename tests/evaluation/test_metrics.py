@@ -255,6 +255,23 @@ def test_a_subset_without_problems_has_nan() -> None:
     assert plot_planners(table, subset="hard").get_title() == "hard problems: 0"
 
 
+def test_a_progress_bar_counts_the_problems_of_each_planner(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Planners with `plan_batch` solve each problem twice."""
+    problems = three(Movement(8))
+    evaluate(classical(Movement(8))[:4], problems, bootstrap=5)
+    assert capsys.readouterr().err == ""
+    evaluate(classical(Movement(8))[:4], problems, bootstrap=5, progress=True)
+    assert "24/24" in capsys.readouterr().err
+
+
+def test_a_file_in_place_of_problems_is_refused() -> None:
+    """The error names the function that reads it."""
+    with pytest.raises(TypeError, match=r"got str, expected a ProblemSet: .*read_problems"):
+        evaluate(classical(Movement(8)), "arena.map.scen")  # type: ignore[arg-type]
+
+
 def test_the_interval_of_a_share_is_close_to_the_normal_interval() -> None:
     """For a share the percentile interval is close to the normal one, and the same with the same
     seed.
