@@ -65,7 +65,13 @@ _MAX_MATRIX_TEXTS = 16
 """Maximal number of rooms for which costs are written into the connection matrix."""
 
 _LANE_WIDTH = 1.6
-"""Points between paths that are drawn side by side; in a figure of one map a cell has about 6."""
+"""Points that a lane is shifted sideways; in a figure of one map of 64 x 64 a cell has about 6."""
+
+_LINE_WIDTH = 2.2
+"""Width of the line of a path, in points."""
+
+_WIDTH_STEP = 0.8
+"""Points by which lines differ in width if cells are too small for lanes side by side."""
 
 
 def plot_grid(
@@ -299,22 +305,39 @@ def plot_cells(
         label: in a legend.
         style: a line style of matplotlib.
         lane: -1, 0 or 1; paths that share cells lie side by side in different lanes. The data of
-            the line are the cells, only the drawing is shifted.
+            the line are the cells, only the drawing is shifted, by at most half a cell. Where this
+            is too little to see both, lane -1 is wider and lane 1 narrower.
     """
     from matplotlib.transforms import offset_copy
 
     from mapdata.plotting.arrows import ArrowHeads
 
     # The shift is diagonal, so that horizontal and vertical parts are separated by the same amount.
-    shift = _LANE_WIDTH * lane
+    share = min(1.0, 0.5 * _cell_size(axes) / _LANE_WIDTH)
+    shift = _LANE_WIDTH * lane * share
     figure: Any = axes.figure  # matplotlib's type hints also allow None here
     shifted = offset_copy(axes.transData, figure, shift, -shift, "points")
     rows, columns = path.T
     axes.plot(
-        columns, rows, color=colour, transform=shifted, linestyle=style, linewidth=2.2, label=label
+        columns,
+        rows,
+        color=colour,
+        transform=shifted,
+        linestyle=style,
+        linewidth=_LINE_WIDTH - _WIDTH_STEP * lane * (1 - share),
+        label=label,
     )
     x_and_y = path[:, ::-1]
     axes.add_collection(ArrowHeads(x_and_y, shifted, colour), autolim=False)
+
+
+def _cell_size(axes: Axes) -> float:
+    """Return the size of a cell of a grid in points, nearly, since layouts follow later."""
+    figure: Any = axes.figure  # matplotlib's type hints also allow None here
+    pixels_per_point = figure.dpi / 72
+    columns = abs(np.subtract(*axes.get_xlim()))
+    rows = abs(np.subtract(*axes.get_ylim()))
+    return float(min(axes.bbox.width / columns, axes.bbox.height / rows) / pixels_per_point)
 
 
 def plot_grid_of_map(labels: Labels, i: int, axes: Axes | None, paper_colours: bool) -> Axes:
