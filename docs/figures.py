@@ -510,7 +510,8 @@ def planners() -> Figure:
     from mapdata.models import planners as learned
 
     figure, (ax,) = new_figure(1, 1, (7.5, 5))
-    plot_planners(planner_table(), ax)
+    table = planner_table()
+    plot_planners(table[table["planner"] != "path_predictor of the tutorial"], ax)
     names = {planner.name for planner in learned(PathPredictor.pretrained())}
     bars = iter(ax.collections)  # two intervals for each mark
     for line in ax.lines:

@@ -126,7 +126,7 @@ def evaluate_planners(
         rows += planners(model)
     elif model is not None:
         rows.append(model)
-    table = evaluation.evaluate(rows, problems, baseline=baseline)
+    table = evaluation.evaluate(rows, problems, baseline=baseline, progress=True)
     print(f"{problems.description}; {problems.movement}; set {problems.content_hash[:12]}\n")
     print(evaluation.to_text(table))
     write_table(table, csv, json)

@@ -87,6 +87,8 @@ from mapdata.interrupts import exit_on_interrupt
 if __name__ == "__main__":
     exit_on_interrupt()  # before the imports, which take seconds
 
+import inspect
+import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -218,14 +220,36 @@ class PlannerCli(TrainingCli):
             part.hparams["movement"] = astuple(movement)
 
 
+def check_data_flags(arguments: ArgsType) -> None:
+    """Refuse flags of `MapDataModule` without ``--data``: the default data are another class.
+
+    Raises:
+        SystemExit: the message names the class to ask for.
+    """
+    words = sys.argv[1:] if arguments is None else arguments
+    if not isinstance(words, list):
+        return
+    flags = [word.partition("=")[0] for word in words if word.startswith("-")]
+    if {"--data", "-c", "--config"} & set(flags):
+        return
+    for name in inspect.signature(MapDataModule).parameters:
+        if f"--data.{name}" in flags:
+            raise SystemExit(
+                f"--data.{name}: is a flag of mapdata.MapDataModule, but the default data mix "
+                f"several sets of maps; say --data mapdata.MapDataModule --data.{name} ..."
+            )
+
+
 def train_path_predictor(arguments: ArgsType = None) -> None:
     """Run the command line of planners; None takes the arguments of the process."""
+    check_data_flags(arguments)
     # LearnedPlanner is abstract: --model takes one of its subclasses.
     PlannerCli(LearnedPlanner, ["path_predictor.yaml"], arguments)  # type: ignore[type-abstract]
 
 
 def refine_path_predictor(arguments: ArgsType = None) -> None:
     """Run the command line of planners, with a second file of arguments after the first."""
+    check_data_flags(arguments)
     files = ["path_predictor.yaml", "refine_path_predictor.yaml"]
     PlannerCli(LearnedPlanner, files, arguments)  # type: ignore[type-abstract]
 

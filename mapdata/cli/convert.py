@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 _IMPORT_OPTIONS = ("seed_points", "seed", "tile", "resolution", "shard_size", "drop_leaks")
 """The options of `import_maps` that are flags of all formats."""
 
+_MAX_LEFT_OUT = 10
+"""Maximal number of files, maps or tiles that an import names among those that it leaves out."""
+
 
 def import_command(
     src: str,
@@ -69,8 +72,11 @@ def import_command(
     finally:
         # If the only map was left out, the error itself says why.
         if datasets or len(collection.left_out) > 1:
-            for name, reason in collection.left_out:
+            for name, reason in collection.left_out[:_MAX_LEFT_OUT]:
                 print(f"left out: {name}: {' '.join(reason.split())}", file=sys.stderr)
+            more = len(collection.left_out) - _MAX_LEFT_OUT
+            if more > 0:
+                print(f"left out: {more:,} more, {more + _MAX_LEFT_OUT:,} in all", file=sys.stderr)
     for note in dict.fromkeys(collection.notes):
         print(f"note: {note}")
     for dataset in datasets:

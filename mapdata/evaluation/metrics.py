@@ -21,6 +21,7 @@ from mapdata.limits import Cell
 from mapdata.problems.problem_set import ProblemSet
 from mapdata.search.api import BatchResult, check_path
 from mapdata.search.lattice import HARD
+from mapdata.shards.workers import Advance, bar
 
 METRICS = ("success", "opt", "cost_ratio", "expansion_ratio", "p_exp", "hmean")
 """Columns of the table that have an interval, from ``<name>_low`` to ``<name>_high``."""
@@ -85,6 +86,7 @@ def evaluate(
     baseline: str | None = None,
     bootstrap: int = 1000,
     seed: int = 0,
+    progress: bool = False,
 ) -> pd.DataFrame:
     """Return the table of ``planners`` on ``problems``.
 
@@ -129,12 +131,20 @@ def evaluate(
         baseline: name of the planner whose expansions are E*.
         bootstrap: number of resamples.
         seed: of the resamples.
+        progress: show a progress bar. It counts a problem once for each planner, and again for
+            each planner with `plan_batch`.
 
     Raises:
+        TypeError: ``problems`` are no `ProblemSet`.
         ValueError: no planner, two of one name, none of the name ``baseline``, no problem, no
             resample, or a ``plan_batch`` with too few plans.
         Exception: whatever a planner raises.
     """
+    if not isinstance(problems, ProblemSet):
+        raise TypeError(
+            f"problems: got {type(problems).__name__}, expected a ProblemSet: "
+            "mapdata.formats.read_problems(file) reads one"
+        )
     names = [planner.name for planner in planners]
     if not names or len(set(names)) < len(names):
         raise ValueError(f"planners: got the names {names}, expected at least one and each once")
@@ -143,7 +153,10 @@ def evaluate(
     check_count("bootstrap", bootstrap)
     if baseline is not None:
         check_choice("baseline", baseline, names)
-    runs = [_run(planner, problems) for planner in planners]
+    batch_planner_count = sum(isinstance(planner, BatchPlanner) for planner in planners)
+    total = (len(planners) + batch_planner_count) * len(problems)
+    with bar(progress, total, unit=" problems") as advance:
+        runs = [_run(planner, problems, advance) for planner in planners]
     reference_expansions: Floats | Ints = problems.optimal.iterations
     if baseline is not None:
         reference_expansions = runs[names.index(baseline)].expansions
@@ -334,8 +347,11 @@ def _terrain_argument(planner: Planner, problems: ProblemSet, rows: int | slice)
     return {"terrain": problems.terrain[rows].copy()}
 
 
-def _run(planner: Planner, problems: ProblemSet) -> _Run:
-    """Solve all problems with a planner, check its paths and measure its times."""
+def _run(planner: Planner, problems: ProblemSet, advance: Advance) -> _Run:
+    """Solve all problems with a planner, check its paths and measure its times.
+
+    ``advance`` is called with numbers of solved problems.
+    """
     costs = np.empty(len(problems))
     expansions = np.empty(len(problems))
     prepared = np.empty(len(problems))
@@ -343,7 +359,7 @@ def _run(planner: Planner, problems: ProblemSet) -> _Run:
     ms = np.empty(len(problems))
     # The first problem is solved twice, and the second time counts: the first call may compile
     # kernels and fill caches.
-    for k in (0, *range(len(problems))):
+    for repetition, k in enumerate((0, *range(len(problems)))):
         start = tuple(problems.starts[k].tolist())
         goal = tuple(problems.goals[k].tolist())
         grid = problems.grids[k].copy()  # a planner may write to it
@@ -355,9 +371,11 @@ def _run(planner: Planner, problems: ProblemSet) -> _Run:
         expansions[k] = plan.expansions
         prepared[k] = plan.prepared
         looks[k] = plan.expansions if plan.looks is None else plan.looks
+        if repetition > 0:
+            advance(1)
     ms_batched = np.nan
     if isinstance(planner, BatchPlanner):
-        ms_batched = _mean_batched_ms(planner, problems)
+        ms_batched = _mean_batched_ms(planner, problems, advance)
     return _Run(costs, expansions, prepared, looks, ms, ms_batched)
 
 
@@ -381,15 +399,15 @@ def _outcomes(run: _Run, problems: ProblemSet, reference_expansions: Floats | In
     return np.column_stack([is_solved, is_optimal, cost_ratio, expansion_ratio, saved])
 
 
-def _mean_batched_ms(planner: BatchPlanner, problems: ProblemSet) -> float:
-    """Return the mean milliseconds a problem of ``plan_batch``.
+def _mean_batched_ms(planner: BatchPlanner, problems: ProblemSet, advance: Advance) -> float:
+    """Return the mean milliseconds a problem of ``plan_batch``, as `_run` does of ``plan``.
 
     Raises:
         ValueError: it returns another number of plans than it got problems.
     """
     seconds = []
     # The first batch is solved twice, and the second time counts, as in `_run`.
-    for first in (0, *range(0, len(problems), _BATCH)):
+    for repetition, first in enumerate((0, *range(0, len(problems), _BATCH))):
         batch = slice(first, first + _BATCH)
         grids = problems.grids[batch].copy()
         starts = problems.starts[batch].copy()
@@ -402,6 +420,8 @@ def _mean_batched_ms(planner: BatchPlanner, problems: ProblemSet) -> float:
             raise ValueError(
                 f"{planner.name}: plan_batch gave {len(plans)} plans for {len(starts)} problems"
             )
+        if repetition > 0:
+            advance(len(plans))
     return 1000 * sum(seconds[1:]) / len(problems)
 
 

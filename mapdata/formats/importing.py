@@ -8,7 +8,7 @@ hashes instead.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from math import prod
@@ -24,7 +24,7 @@ from mapdata.formats.leaks import Separated, separate
 from mapdata.generators.maps import Maps, pack
 from mapdata.generators.points import check_seed_points, draw_points, largest_component
 from mapdata.generators.splits import draw_splits, split_thresholds
-from mapdata.limits import MAX_ROOMS, MAX_SIDE, Size
+from mapdata.limits import MAX_ROOMS, MAX_SIDE, SPLITS, Size
 from mapdata.movement import Movement
 from mapdata.search.api import why_not_free
 from mapdata.search.labels import HighCostError, label
@@ -152,6 +152,7 @@ def import_maps(
             name, reason = source.left_out[0]
             message += f": {name}: {reason}"
         raise ValueError(message)
+    _note_costs(groups.values(), source.notes)
     folders = _dataset_folders(root, list(groups))
     draws = Draws(seed_points, seed)
     datasets = []
@@ -163,6 +164,7 @@ def import_maps(
             for k, foreign_map in enumerate(numbered):
                 if foreign_map.split is not None:
                     split_codes[k] = foreign_map.split
+            _note_empty_splits(numbered, split_codes, splits, source.notes)
             # Maps keep their splits when copies are dropped. If the splits were drawn again for
             # the remaining maps, other copies might end up in different splits.
             separated = separate(numbered, split_codes, drop_leaks, source.notes)
@@ -197,6 +199,50 @@ def import_maps(
                 )
             datasets.append(dataset)
     return datasets
+
+
+def _note_empty_splits(
+    maps: list[ForeignMap],
+    split_codes: Bytes,
+    fractions: tuple[float, float, float],
+    notes: list[str],
+) -> None:
+    """Add a note if no map was drawn for a split that should have some.
+
+    Args:
+        maps: of a dataset.
+        split_codes: (N,) their splits.
+        fractions: of train, val and test, for maps whose split the source does not say.
+        notes: for the user.
+    """
+    drawn_count = sum(foreign_map.split is None for foreign_map in maps)
+    counts = np.bincount(split_codes, minlength=len(SPLITS)).tolist()
+    empty_names = [
+        name
+        for name, count, fraction in zip(SPLITS, counts, fractions, strict=True)
+        if count == 0 and fraction > 0
+    ]
+    if drawn_count and empty_names:
+        shares = ", ".join(f"{100 * fraction:g}" for fraction in fractions)
+        notes.append(
+            f"no map is in {' and '.join(empty_names)}: maps are divided at random "
+            f"({shares} %; {drawn_count} in all); another --seed, more maps "
+            "(--tile cuts large ones) or folders train, val and test in the source change that"
+        )
+
+
+def _note_costs(groups: Iterable[list[ForeignMap]], notes: list[str]) -> None:
+    """Add to ``notes`` from which to which cost the free cells of maps with terrain have."""
+    terrains = [
+        foreign_map.terrain
+        for group_maps in groups
+        for foreign_map in group_maps
+        if foreign_map.terrain is not None
+    ]
+    if terrains:
+        lowest = min(int(terrain[terrain > 0].min()) for terrain in terrains)
+        highest = max(int(terrain.max()) for terrain in terrains)
+        notes.append(f"the costs of free cells are {lowest} to {highest}")
 
 
 def _has_terrain(source: Collection) -> bool:

@@ -201,6 +201,10 @@ def _parse_problem(line: str, number: int, path: Path) -> Problem:
         FormatError: fields are missing, or are no numbers.
     """
     words = line.split()
+    if number == 1 and words[0].lower() == "type":
+        raise FormatError(
+            f"{path}: is a map, expected a .scen file of problems, such as {path.name}.scen"
+        )
     match = _LINE.fullmatch(" ".join(words))
     # With 8 fields either width or height is missing, and the other one would become a part of
     # the map's name.
@@ -342,8 +346,8 @@ def _check_lengths(batch: list[Problem], grid: Bytes, path: Path, report: ScenRe
         if not agrees(problem, cost):
             our_length = "no path" if cost < 0 else f"{cost:.8f}"
             report.disagreements.append(
-                f"{path}: line {problem.line}: {problem.start} to {problem.goal}: "
-                f"says {problem.length}, found {our_length}"
+                f"{path}: line {problem.line}: {problem.start} to {problem.goal} "
+                f"(row, col): says {problem.length}, found {our_length}"
             )
 
 
@@ -421,7 +425,9 @@ def _check_cells(problem: Problem, shape: Size, path: Path) -> None:
         )
     for cell in (problem.start, problem.goal):
         if np.greater_equal(cell, shape).any():
-            raise FormatError(f"{path}: line {problem.line}: {cell} is outside the map of {shape}")
+            raise FormatError(
+                f"{path}: line {problem.line}: (row, col) {cell} is outside the map of {shape}"
+            )
 
 
 def agrees(problem: Problem, cost: float) -> bool:
@@ -464,7 +470,7 @@ def find_map(name: str, scen: Path, maps: StrPath | None = None) -> Path:
         # A link may lead out of the folder.
         if candidate.is_file() and candidate.resolve().is_relative_to(folder.resolve()):
             return candidate
-    advice = "--maps DIR, or --movingai.maps DIR of an import, says where maps are"
+    advice = "maps= (--maps, or --movingai.maps of an import) names their folder"
     raise FormatError(f"{scen}: its map {name!r} is missing: looked for {last_tried}; {advice}")
 
 
@@ -502,6 +508,8 @@ def read(
         paths = files_with_endings(source, (".map",), limits, collection)
         end_points = ((path, []) for path in paths)
     letter_counts = np.zeros(128, np.int64)  # indexed by ASCII code
+    chosen_count = 0
+    end_point_count = 0
     for path, cells in end_points:
         with collection.leaving_out(path):
             letters = read_terrain(path, limits)
@@ -513,6 +521,8 @@ def read(
             distinct_cells = dict.fromkeys(cells)
             free_cells = [cell for cell in distinct_cells if grid[cell] == 0]
             chosen = np.array(free_cells[:seed_points], np.int64).reshape(-1, 2)
+            chosen_count += len(chosen)
+            end_point_count += len(free_cells)
             collection.maps.append(
                 ForeignMap(
                     str(path),
@@ -523,6 +533,12 @@ def read(
                     terrain=cell_costs,
                 )
             )
+    if chosen_count < end_point_count:
+        collection.notes.append(
+            f"{chosen_count} of the {end_point_count} free start and goal cells of the problems "
+            "are seed points (--seed-points N takes more); mapdata.formats.read_problems(file) "
+            "reads the problems themselves"
+        )
     if cost_by_code is not None:
         letter_costs = ", ".join(
             f"{letter} {cost_by_code[ord(letter)]} ({letter_counts[ord(letter)]} cells)"

@@ -130,19 +130,33 @@ def read_any(
         limits: of what is read, and whether a progress bar shows it.
         options: those of the format's ``read``.
 
+    Returns:
+        The maps, at least one, with the names and reasons of those that were left out.
+
     Raises:
-        FormatError: what cannot be read.
+        FormatError: what cannot be read; no map is left, and the message says why.
         ValueError: a URL, an unknown format, or an option that the format does not have.
     """
     source = local_path(source)
     name = format_name or recognise(source)
     read = _checked_function("read", name, options)
     collection: Collection = read(source, limits, **options)
-    if not collection.maps and not collection.left_out:
-        raise FormatError(f"{source}: holds no map of format {name}")
+    if not collection.maps:
+        raise FormatError(_no_map_message(source, name, collection))
     collection.format = name
     collection.source = str(source)
     return collection
+
+
+def _no_map_message(source: Path, format_name: str, collection: Collection) -> str:
+    """Return why a file or folder gave no map: the first three reasons."""
+    if not collection.left_out:
+        return f"{source}: holds no map of format {format_name}"
+    reasons = [f"{name}: {reason}" for name, reason in collection.left_out[:3]]
+    message = "; ".join(reasons)
+    if len(collection.left_out) > len(reasons):
+        message += f"; and {len(collection.left_out) - len(reasons)} more"
+    return f"no map can be used: {message}"
 
 
 def read_problems(source: StrPath, limits: Limits = LIMITS, **options: object) -> ProblemSet:
@@ -167,6 +181,11 @@ def read_problems(source: StrPath, limits: Limits = LIMITS, **options: object) -
         read = _checked_function("problems", name, options)
         problems: ProblemSet = read(Path(source), limits, **options)
         return problems
+    if Path(source).suffix.lower() != ".npz":
+        raise FormatError(
+            f"{source}: holds maps of format {name}, without problems; expected a .scen, an .npz "
+            "of problems, or a folder of TransPath or Warcraft (read_any reads maps)"
+        )
     if options:
         raise ValueError(f"{', '.join(options)}: would do nothing beside a saved set of problems")
     return ProblemSet.load(source)

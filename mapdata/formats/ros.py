@@ -39,9 +39,10 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import yaml
+from numpy.typing import ArrayLike
 from PIL import Image
 
-from mapdata.arrays import Array, Bytes, Flags, Int8s
+from mapdata.arrays import Array, Bytes, Flags, Int8s, Ints
 from mapdata.checks import check_resolution
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
@@ -94,10 +95,50 @@ class RosMap:
     mode: str = "trinary"
 
     def to_metres(self, row: float, column: float) -> tuple[float, float]:
-        """Return (x, y), in metres, of the middle of a cell (row, col)."""
+        """Return (x, y), in metres, of the middle of a cell (row, col).
+
+        `mapdata.to_metres` takes points instead of cells, whose middle is (row + 0.5, col + 0.5),
+        and many at once.
+        """
         middle = (row + 0.5, column + 0.5)
         x, y = to_metres(middle, len(self.cells), self.resolution, self.origin).tolist()
         return x, y
+
+    def to_cells(self, points: ArrayLike) -> Ints:
+        """Return the cells (row, col) in which points lie: the inverse of `to_metres`.
+
+        `to_metres` returns the middle of a cell; any other point of the cell gives the same cell.
+
+        Args:
+            points: (..., 2), (x, y) in metres.
+
+        Returns:
+            (..., 2) int64.
+
+        Raises:
+            ValueError: another shape, or a point outside of the map.
+        """
+        in_metres = np.asarray(points, np.float64)
+        if in_metres.shape[-1:] != (2,):
+            raise ValueError(f"points: got shape {in_metres.shape}, expected (..., 2): x and y")
+        x, y, yaw = self.origin
+        east = in_metres[..., 0] - x
+        north = in_metres[..., 1] - y
+        # The map is rotated about its lower left corner by yaw.
+        right = (east * math.cos(yaw) + north * math.sin(yaw)) / self.resolution
+        up = (north * math.cos(yaw) - east * math.sin(yaw)) / self.resolution
+        rows, columns = self.cells.shape
+        # A point on the edge of two cells belongs to the one to its right and above.
+        from_corner = np.stack((rows - 1 - np.floor(up), np.floor(right)), axis=-1)
+        # With NaN every comparison is false, so this form of the test refuses it.
+        is_inside = ((from_corner >= 0) & (from_corner < (rows, columns))).all(axis=-1)
+        if not is_inside.all():
+            first_outside = in_metres[~is_inside].reshape(-1, 2)[0].tolist()
+            raise ValueError(
+                f"points: {first_outside} lies outside of the map of {rows} x {columns} cells, "
+                f"whose lower left corner is {[x, y]}; expected metres in the frame of the map"
+            )
+        return np.asarray(from_corner, np.int64)
 
 
 def read_map(path: StrPath, limits: Limits = LIMITS) -> RosMap:
@@ -312,7 +353,7 @@ def to_grid(cells: Int8s, unknown: str | None, label: str) -> Bytes:
     """
     is_unknown = _unknown_cells(cells)
     if unknown is None and is_unknown.any():
-        raise _unknown_error(is_unknown, label)
+        raise _unknown_error(is_unknown, label, between=np.asarray((cells > 0) & (cells < 100)))
     is_occupied = cells == 100
     if unknown == "occupied":
         is_occupied |= is_unknown
@@ -394,10 +435,21 @@ def to_terrain(costs: Bytes, scale: str, unknown: str | None, label: str) -> Byt
     return terrain
 
 
-def _unknown_error(is_unknown: Flags, label: str) -> FormatError:
-    """Return the error for a map with unknown cells, without a word on what they become."""
+def _unknown_error(is_unknown: Flags, label: str, between: Flags | None = None) -> FormatError:
+    """Return the error for a map with unknown cells, without a word on what they become.
+
+    Args:
+        is_unknown: (H, W), which cells are unknown or between the thresholds.
+        label: names the map.
+        between: (H, W), those between the thresholds, if the map has such values.
+    """
+    state = "unknown"
+    if between is not None and between.any():
+        state = "between free and occupied"
+        if (is_unknown & ~between).any():
+            state = "unknown or between free and occupied"
     return FormatError(
-        f"{label}: {is_unknown.mean():.1%} of its cells are unknown: say "
+        f"{label}: {is_unknown.mean():.1%} of its cells are {state}: say "
         "--ros.unknown occupied or --ros.unknown free"
     )
 
@@ -614,7 +666,11 @@ def write(
             "origin: [0.0, 0.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",
             newline="\n",
         )
-    return ["rooms and labels are not in this format: pictures, resolution and splits are"]
+    return [
+        "rooms and labels are not in this format: pictures, resolution and splits are",
+        "a dataset does not keep where its maps lie: the origin of each .yaml is [0, 0, 0], so "
+        "write x, y and yaw of your map there",
+    ]
 
 
 FORMAT = Format("ros", ENDINGS, read, write, companion_endings=PICTURES)

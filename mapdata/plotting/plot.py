@@ -11,7 +11,6 @@ matplotlib is imported when a figure is drawn, since its import is slow.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,12 +18,14 @@ from numpy.typing import ArrayLike
 
 from mapdata.arrays import Array
 from mapdata.checks import check_choice
+from mapdata.plotting.mark_names import name_marks
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.image import AxesImage
+    from matplotlib.path import Path
 
     from mapdata.search.labels import Labels
 
@@ -63,16 +64,14 @@ _MAX_LEGEND_SEGMENTS = 16
 _MAX_MATRIX_TEXTS = 16
 """Maximal number of rooms for which costs are written into the connection matrix."""
 
-_LABEL_DISTANCES = (8, 20, 34, 50, 70)
-"""Points between a mark and its label, in the order in which they are tried."""
-
-_LABEL_DIRECTIONS = ((1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1), (0, 1), (0, -1))
-"""Directions from a mark to its label, (right, up), in the order in which they are tried."""
-
-_LABEL_LINE = {"arrowstyle": "-", "color": "0.6", "linewidth": 0.7}
-
 _LANE_WIDTH = 1.6
-"""Points between paths that are drawn side by side; in a figure of one map a cell has about 6."""
+"""Points that a lane is shifted sideways; in a figure of one map of 64 x 64 a cell has about 6."""
+
+_LINE_WIDTH = 2.2
+"""Width of the line of a path, in points."""
+
+_WIDTH_STEP = 0.8
+"""Points by which lines differ in width if cells are too small for lanes side by side."""
 
 
 def plot_grid(
@@ -251,7 +250,8 @@ def matrices_are_equal(labels: Labels, i: int) -> bool:
 def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str = "hard") -> Axes:
     """Draw the cost ratio of each planner against its expansion ratio; left and low is good.
 
-    Bars are 95 % intervals. Each mark has the name of its planner beside it.
+    Bars are 95 % intervals. Each mark has the name of its planner beside it, or at the end of
+    a thin line where marks crowd.
 
     Args:
         table: what `evaluate` returns.
@@ -263,68 +263,29 @@ def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str 
     rows = table[table["subset"] == subset]
     colour = COLOURS["astar"]
     marks: dict[str, tuple[float, float]] = {}
+    bars: list[Path] = []
     for row in rows.to_dict("records"):
         x = row["expansion_ratio"]
         y = row["cost_ratio"]
         marks[row["planner"]] = (x, y)
-        axes.hlines(y, row["expansion_ratio_low"], row["expansion_ratio_high"], colour, linewidth=1)
-        axes.vlines(x, row["cost_ratio_low"], row["cost_ratio_high"], colour, linewidth=1)
+        for interval in (
+            axes.hlines(y, row["expansion_ratio_low"], row["expansion_ratio_high"], colour),
+            axes.vlines(x, row["cost_ratio_low"], row["cost_ratio_high"], colour),
+        ):
+            interval.set_linewidth(1)
+            bars += interval.get_paths()
         axes.plot(x, y, "o", color=colour, fillstyle="none", mew=2, ms=8, label=row["planner"])
     axes.set_xscale("log", base=2)
     axes.xaxis.set_major_formatter("{x:g}")
-    axes.margins(0.12)
+    axes.margins(0.12, 0.2)  # room for names
     axes.set(
         xlabel="expansions / expansions of A* (mean); left is better",
         ylabel="cost / optimal cost (mean of the solved); low is better",
         title=f"{subset} problems: {rows['n'].max()}",
     )
     axes.grid(alpha=0.3)
-    _name_marks(axes, marks)
+    name_marks(axes, marks, bars)
     return axes
-
-
-def _name_marks(axes: Axes, marks: dict[str, tuple[float, float]]) -> None:
-    """Write the name of each mark beside it, where it covers no other name and no mark.
-
-    Where there is no room beside the mark, the name is farther away, at the end of a thin line.
-
-    Args:
-        axes: with the marks.
-        marks: (x, y) of each name, in the units of the axes.
-    """
-    from matplotlib.text import Text
-    from matplotlib.transforms import Bbox
-
-    figure: Any = axes.figure  # matplotlib's type hints also allow None here
-    figure.draw_without_rendering()  # makes the layout, on which the sizes of texts depend
-    points_to_pixels = figure.dpi / 72
-    radius = 6 * points_to_pixels
-    taken = [
-        Bbox.from_extents(x - radius, y - radius, x + radius, y + radius)
-        for x, y in axes.transData.transform(list(marks.values()))
-    ]
-    for name, point in marks.items():
-        for distance, (right, up) in product(_LABEL_DISTANCES, _LABEL_DIRECTIONS):
-            label = axes.annotate(
-                name,
-                point,
-                (distance * right, distance * up),
-                textcoords="offset points",
-                ha=("center", "left", "right")[right],
-                va=("center", "bottom", "top")[up],
-                fontsize="small",
-                arrowprops=None if distance == _LABEL_DISTANCES[0] else _LABEL_LINE,
-            )
-            label.get_window_extent()  # moves the text to its place; it includes the line
-            box = Text.get_window_extent(label)
-            is_inside = all(axes.bbox.contains(*corner) for corner in box.corners())
-            if is_inside and not box.count_overlaps(taken):
-                break
-            label.remove()
-        else:  # no room anywhere: the name may cover another one
-            label = axes.annotate(name, point, fontsize="small")
-            label.get_window_extent()
-        taken.append(Text.get_window_extent(label))
 
 
 def plot_cells(
@@ -344,22 +305,39 @@ def plot_cells(
         label: in a legend.
         style: a line style of matplotlib.
         lane: -1, 0 or 1; paths that share cells lie side by side in different lanes. The data of
-            the line are the cells, only the drawing is shifted.
+            the line are the cells, only the drawing is shifted, by at most half a cell. Where this
+            is too little to see both, lane -1 is wider and lane 1 narrower.
     """
     from matplotlib.transforms import offset_copy
 
     from mapdata.plotting.arrows import ArrowHeads
 
     # The shift is diagonal, so that horizontal and vertical parts are separated by the same amount.
-    shift = _LANE_WIDTH * lane
+    share = min(1.0, 0.5 * _cell_size(axes) / _LANE_WIDTH)
+    shift = _LANE_WIDTH * lane * share
     figure: Any = axes.figure  # matplotlib's type hints also allow None here
     shifted = offset_copy(axes.transData, figure, shift, -shift, "points")
     rows, columns = path.T
     axes.plot(
-        columns, rows, color=colour, transform=shifted, linestyle=style, linewidth=2.2, label=label
+        columns,
+        rows,
+        color=colour,
+        transform=shifted,
+        linestyle=style,
+        linewidth=_LINE_WIDTH - _WIDTH_STEP * lane * (1 - share),
+        label=label,
     )
     x_and_y = path[:, ::-1]
     axes.add_collection(ArrowHeads(x_and_y, shifted, colour), autolim=False)
+
+
+def _cell_size(axes: Axes) -> float:
+    """Return the size of a cell of a grid in points, nearly, since layouts follow later."""
+    figure: Any = axes.figure  # matplotlib's type hints also allow None here
+    pixels_per_point = figure.dpi / 72
+    columns = abs(np.subtract(*axes.get_xlim()))
+    rows = abs(np.subtract(*axes.get_ylim()))
+    return float(min(axes.bbox.width / columns, axes.bbox.height / rows) / pixels_per_point)
 
 
 def plot_grid_of_map(labels: Labels, i: int, axes: Axes | None, paper_colours: bool) -> Axes:

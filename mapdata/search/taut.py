@@ -238,6 +238,9 @@ def to_metres(
 ) -> Floats:
     """Return points of a map, (row, col) in cells, as (x, y) in metres.
 
+    Points are continuous: (0, 0) is the upper left corner of the map, not a cell. The method
+    `RosMap.to_metres` of `mapdata.formats.ros.read_map` takes a cell and returns its middle.
+
     Args:
         points: (..., 2), counted from the upper left corner of the map: the middle of cell (r, c)
             is (r + 0.5, c + 0.5).
@@ -249,11 +252,22 @@ def to_metres(
     Returns:
         (..., 2) float64. For yaw 0, x grows with the column, and y from the last row to the first.
 
+    Raises:
+        ValueError: another shape of ``points``, or an origin without yaw.
+
     >>> to_metres([[2, 0], [0.5, 0.5]], rows=2, resolution=0.1)
     array([[0.  , 0.  ],
            [0.05, 0.15]])
     """
     from_corner = np.asarray(points, np.float64)
+    if from_corner.shape[-1:] != (2,):
+        raise ValueError(
+            f"points: got shape {from_corner.shape}, expected (..., 2): row and column"
+        )
+    if np.shape(origin) != (3,):
+        raise ValueError(
+            f"origin: got {origin!r}, expected (x, y, yaw) of the lower left corner of the map"
+        )
     right = from_corner[..., 1] * resolution
     up = (rows - from_corner[..., 0]) * resolution
     x, y, yaw = origin

@@ -18,6 +18,7 @@ import pandas as pd
 import pytest
 from helpers.figures import figure_of
 from helpers.reference import Cell
+from matplotlib.figure import Figure
 from matplotlib.text import Annotation, Text
 
 from mapdata import MapSpec, Plan, ProblemSet, astar, build, evaluate
@@ -252,6 +253,23 @@ def test_a_subset_without_problems_has_nan() -> None:
     assert row_of_planner["n"] == 0
     assert all(np.isnan(row_of_planner[name]) for name in (*METRICS, "opt_low", "hmean_high", "ms"))
     assert plot_planners(table, subset="hard").get_title() == "hard problems: 0"
+
+
+def test_a_progress_bar_counts_the_problems_of_each_planner(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Planners with `plan_batch` solve each problem twice."""
+    problems = three(Movement(8))
+    evaluate(classical(Movement(8))[:4], problems, bootstrap=5)
+    assert capsys.readouterr().err == ""
+    evaluate(classical(Movement(8))[:4], problems, bootstrap=5, progress=True)
+    assert "24/24" in capsys.readouterr().err
+
+
+def test_a_file_in_place_of_problems_is_refused() -> None:
+    """The error names the function that reads it."""
+    with pytest.raises(TypeError, match=r"got str, expected a ProblemSet: .*read_problems"):
+        evaluate(classical(Movement(8)), "arena.map.scen")  # type: ignore[arg-type]
 
 
 def test_the_interval_of_a_share_is_close_to_the_normal_interval() -> None:
@@ -497,3 +515,71 @@ def test_the_figure_names_every_planner_beside_its_mark() -> None:
         assert not any(box.contains(*axes.transData.transform(mark)) for mark in marks.values())
     assert "expansions" in axes.get_xlabel()
     assert "cost" in axes.get_ylabel()
+
+
+CROWDED = {
+    "BFS": (17.087, 1.0),
+    "Dijkstra": (16.134, 1.0),
+    "A*": (1.0, 1.0),
+    "weighted A* (1.1)": (0.691, 1.0048),
+    "weighted A* (1.25)": (0.55, 1.0096),
+    "weighted A* (1.5)": (0.479, 1.0096),
+    "weighted A* (2)": (0.442, 1.0096),
+    "weighted A* (3)": (0.418, 1.0096),
+    "greedy best-first": (0.41, 1.0163),
+    "jump point search": (0.159, 1.0),
+    "A* with the exact goal field": (0.398, 1.0),
+    "limit": (0.398, 1.0),
+    "path_predictor (walk)": (0.398, 1.0),
+    "path_predictor (search)": (0.409, 1.0),
+}
+"""The (expansion ratio, cost ratio) of planners on the hard problems of a small .scen."""
+
+
+def test_each_name_belongs_to_its_mark_where_marks_crowd() -> None:
+    """A name without a line is nearest to its own mark; a line ends at its mark, and passes no
+    other mark and no other name.
+    """
+    rows = [
+        {
+            "planner": name,
+            "subset": "hard",
+            "n": 5,
+            "expansion_ratio": x,
+            "expansion_ratio_low": x / 1.5,
+            "expansion_ratio_high": x * 1.5,
+            "cost_ratio": y,
+            "cost_ratio_low": 1.0,
+            "cost_ratio_high": 1 + 3 * (y - 1),
+        }
+        for name, (x, y) in CROWDED.items()
+    ]
+    figure = Figure(figsize=(7, 6), layout="constrained")
+    axes = plot_planners(pd.DataFrame(rows), figure.add_subplot())
+    figure.draw_without_rendering()
+    point = figure.dpi / 72
+    labels = [text for text in axes.texts if isinstance(text, Annotation)]
+    boxes = {label.get_text(): Text.get_window_extent(label) for label in labels}
+    marks = {name: axes.transData.transform(CROWDED[name]) for name in boxes}
+    assert marks.keys() == CROWDED.keys()
+    for label in labels:
+        name = label.get_text()
+        others = [other for other in boxes if other != name]
+        assert not boxes[name].count_overlaps([boxes[other] for other in others]), name
+        if label.arrow_patch is None:
+            distances = {
+                other: float(np.linalg.norm(mark - np.clip(mark, boxes[name].min, boxes[name].max)))
+                for other, mark in marks.items()
+            }
+            assert all(distances[name] + 2 * point < distances[other] for other in others), name
+            continue
+        line = label.arrow_patch.get_path().transformed(label.arrow_patch.get_transform())
+        ends = np.asarray(line.vertices)[[0, -1]]
+        assert np.linalg.norm(ends - marks[name], axis=1).min() < 1, name
+        along = np.linspace(ends[0], ends[1], 100)
+        for other in others:
+            assert not any(boxes[other].contains(*position) for position in along), (name, other)
+            apart = float(np.linalg.norm(marks[other] - marks[name]))
+            passes_at = float(np.linalg.norm(along - marks[other], axis=1).min())
+            # from marks that overlap its own, the line leads away
+            assert passes_at > min(6 * point, 0.6 * apart) - 0.1, (name, other)

@@ -15,6 +15,7 @@ import pytest
 from helpers import reference
 from helpers.grids import random_grids
 from helpers.imported import collection
+from helpers.wild import cli
 
 from mapdata import (
     Labels,
@@ -376,3 +377,29 @@ def test_a_map_with_costs_that_are_too_high_is_named_as_in_its_source(tmp_path: 
         ValueError, match=r"^high: terrain: a path costs 1,0.*, and costs are exact"
     ):
         import_maps(tmp_path / "out", source)
+
+
+def test_a_split_without_a_map_is_noted(tmp_path: Path) -> None:
+    """Maps whose source says the split, and splits that should be empty, need no note."""
+    grids = [np.zeros((3, 3 + k), np.uint8) for k in range(1)]
+    source = collection(*grids)
+    import_maps(tmp_path / "one", source, seed_points=2)
+    (note,) = [note for note in source.notes if note.startswith("no map is in")]
+    assert "maps are divided at random (80, 10, 10 %; 1 in all); another" in note
+    quiet = collection(*grids)
+    import_maps(tmp_path / "all", quiet, seed_points=2, splits=(1, 0, 0))
+    divided = Collection([ForeignMap("a", grids[0], 0)])
+    import_maps(tmp_path / "own", divided, seed_points=2)
+    assert not any("no map is in" in note for note in (*quiet.notes, *divided.notes))
+
+
+def test_many_maps_left_out_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The first 10 are named."""
+    grid = np.ones((4, 60), np.uint8)
+    grid[:, :4] = 0
+    np.save(tmp_path / "wide.npy", grid)
+    arguments = ("import", tmp_path / "wide.npy", tmp_path / "out", "--tile", "4x4")
+    code, _, err = cli(capsys, *arguments, "--seed-points", 2)
+    assert code == 0
+    assert err.count("has no two connected free cells") == 10
+    assert "left out: 4 more, 14 in all" in err

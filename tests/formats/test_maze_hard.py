@@ -268,5 +268,7 @@ def test_maps_that_the_format_cannot_hold_are_refused(tmp_path: Path) -> None:
                 tmp_path / name, tmp_path / f"{name}-out", format="maze-hard", movement=movement
             )
     (tmp_path / "other.csv").write_text("a,b\n1,2\n")
-    with pytest.raises(ValueError, match=r"no map to import: .*other.csv, line 2: expected source"):
-        import_maps(tmp_path / "out", read_any(tmp_path / "other.csv", "maze-hard"))
+    with pytest.raises(
+        ValueError, match=r"no map can be used: .*other.csv, line 2: expected source"
+    ):
+        read_any(tmp_path / "other.csv", "maze-hard")

@@ -184,7 +184,7 @@ def test_check_scen_agrees_with_lengths_by_hand(
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("3.41421\n", "3.41422\n", r"line 3: \(1, 1\) to \(3, 3\): says 3.41422, found 3.41421356"),
+        ("3.41421\n", "3.41422\n", r"line 3: \(1, 1\) to \(3, 3\) \(row, col\): says 3.41422"),
         ("6.82842712", "6.82842714", "says 6.82842714"),
         ("4\t0\t0\n0", "4\t0\t4\n0", "says 4, found no path"),
         ("0\t0\t0\t3\t3\n", "0\t0\t0\t3\t0\n", "says 0, found 3.0"),
@@ -327,6 +327,22 @@ def test_all_problems_of_one_map_share_its_grid(
     )
     assert copied.content_hash == content_hash
     assert np.array_equal(copied.optimal.cells, problems.optimal.cells)
+
+
+def test_a_map_in_place_of_a_scen_is_named_as_such(tmp_path: Path) -> None:
+    """Its first line is not taken for a problem."""
+    files(tmp_path)
+    with pytest.raises(FormatError, match=r"cave.map: is a map, expected a .scen file"):
+        check_scen(tmp_path / "cave.map")
+    with pytest.raises(FormatError, match=r"holds maps of format movingai|is a map"):
+        read_problems(tmp_path / "cave.map")
+
+
+def test_files_of_maps_hold_no_problems(tmp_path: Path) -> None:
+    """The error names the files that do."""
+    np.save(tmp_path / "maps.npy", np.zeros((2, 3, 3), np.uint8))
+    with pytest.raises(FormatError, match=r"format images, without problems; expected a .scen"):
+        read_problems(tmp_path / "maps.npy")
 
 
 @pytest.mark.parametrize(
@@ -518,6 +534,17 @@ def test_a_scen_imports_its_map_with_end_points_as_seed_points(
     beside = next(tmp_path.glob("*.map"))
     code, _, err = cli(capsys, "import", beside, tmp_path / "no", "--movingai.scen")
     assert (code, "a map has no end points, expected a .scen file" in err) == (2, True)
+
+
+def test_an_import_of_problems_says_how_many_end_points_it_took(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The note names the function that reads the problems themselves."""
+    scen = files(tmp_path)
+    code, out, _ = cli(capsys, "import", scen, tmp_path / "few", "--seed-points", 2)
+    assert code == 0
+    assert "2 of the 7 free start and goal cells of the problems are seed points" in out
+    assert "mapdata.formats.read_problems(file)" in out
 
 
 @pytest.mark.parametrize(

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image
 
-from mapdata import read_shard
-from mapdata.formats import FormatError, Limits, read_any
+from mapdata import read_shard, to_metres
+from mapdata.formats import FormatError, Limits, export, read_any
 from mapdata.formats.images import Pixels, read_pixels
 from mapdata.formats.ros import _classify, read, read_map, resampled, to_grid
 from mapdata.shards import read_manifest
@@ -156,6 +156,51 @@ def test_metres_are_measured_from_the_origin(tmp_path: Path) -> None:
     assert ros_map.to_metres(0, 2) == pytest.approx((1.125, 2.075))
     turned = read_map(write(tmp_path, origin="[1.0, 2.0, 1.5707963267948966]"))
     assert turned.to_metres(0, 2) == pytest.approx((1 - 0.075, 2.125))
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.3, 1.5707963267948966, -2.5])
+def test_points_in_metres_lie_in_cells(yaw: float, tmp_path: Path) -> None:
+    """The middle of each cell, and points near its corners, lie in that cell."""
+    ros_map = read_map(write(tmp_path, origin=f"[1.0, -2.0, {yaw}]"))
+    cells = np.argwhere(np.ones_like(ros_map.cells))
+    middles = np.array([ros_map.to_metres(row, column) for row, column in cells.tolist()])
+    assert np.array_equal(ros_map.to_cells(middles), cells)
+    assert ros_map.to_cells(middles.reshape(2, 3, 2)).shape == (2, 3, 2)
+    assert ros_map.to_cells(middles[4]).tolist() == [1, 1]
+    for offset in ((0.45, 0.45), (-0.45, 0.45), (-0.45, -0.45)):
+        corners = to_metres(cells + 0.5 + offset, 2, 0.05, ros_map.origin)
+        assert np.array_equal(ros_map.to_cells(corners), cells)
+    outside = to_metres([[0.5, 0.5], [2.1, 0.5]], 2, 0.05, ros_map.origin)
+    with pytest.raises(ValueError, match="outside of the map of 2 x 3 cells"):
+        ros_map.to_cells(outside)
+    with pytest.raises(ValueError, match="outside of the map"):
+        ros_map.to_cells([np.nan, 0])
+    with pytest.raises(ValueError, match=r"points: got shape \(3,\), expected \(..., 2\)"):
+        ros_map.to_cells([1.0, 2.0, 0.0])
+
+
+def test_values_between_the_thresholds_are_not_called_unknown(tmp_path: Path) -> None:
+    """In mode scale a grey pixel is between free and occupied."""
+    path = write(tmp_path, mode="scale", free_thresh="0.1")
+    with pytest.raises(FormatError, match=r"16.7% of its cells are between free and occupied: say"):
+        read_any(path)
+
+
+def test_a_map_that_is_left_out_is_an_error_with_the_reason(tmp_path: Path) -> None:
+    """Beside another map it is one of those left out."""
+    path = write(tmp_path)
+    with pytest.raises(FormatError, match=r"no map can be used: .*16.7% of its cells are unknown"):
+        read_any(path)
+    (tmp_path / "good.pgm").write_bytes(b"P5 2 1 255\n\xfe\xfe")
+    (tmp_path / "good.yaml").write_text(YAML.format(image="good.pgm"))
+    collection = read_any(tmp_path, "ros")
+    assert (len(collection.maps), len(collection.left_out)) == (1, 1)
+
+
+def test_an_export_says_that_the_origin_is_not_kept(root: Path, tmp_path: Path) -> None:
+    """A dataset does not store it."""
+    notes = export(root, tmp_path / "out", "ros")
+    assert any("the origin of each .yaml is [0, 0, 0]" in note for note in notes)
 
 
 def test_unknown_cells_are_refused_or_noted(
@@ -505,6 +550,7 @@ def test_costs_of_a_costmap_become_terrain(
     code, out, _ = cli(capsys, "import", path, tmp_path / "data", *options, "--seed-points", 3)
     assert code == 0
     assert "costs 0 to 252 are terrain 1 to 253, 253 and 254 are occupied" in out
+    assert "the costs of free cells are 1 to 253" in out
     assert f"8.3% of the cells were unknown and are now {unknown}" in out
     manifest = read_manifest(tmp_path / "data")
     assert manifest.resolution == 0.05
@@ -521,12 +567,12 @@ def test_a_saved_topic_has_costs_from_0_to_100(tmp_path: Path) -> None:
     terrain = collection.maps[0].terrain
     assert terrain is not None
     assert terrain.tolist() == [[1, 2, 99], [0, 0, 1]]
-    [(_, reason)] = read_any(path, costmap="raw", unknown="free").left_out
-    assert "its largest cost is 100, an obstacle in what map_saver saves" in reason
-    [(_, reason)] = read_any(
-        write_costmap(tmp_path, COSTS), costmap="scaled", unknown="free"
-    ).left_out
-    assert "its largest cost is 254, expected at most 100: say --ros.costmap raw" in reason
+    message = "its largest cost is 100, an obstacle in what map_saver saves"
+    with pytest.raises(FormatError, match=message):
+        read_any(path, costmap="raw", unknown="free")
+    message = "its largest cost is 254, expected at most 100: say --ros.costmap raw"
+    with pytest.raises(FormatError, match=message):
+        read_any(write_costmap(tmp_path, COSTS), costmap="scaled", unknown="free")
 
 
 @pytest.mark.parametrize(
@@ -542,16 +588,14 @@ def test_a_saved_topic_has_costs_from_0_to_100(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_costmap_with_a_fault_is_left_out(
+def test_a_costmap_with_a_fault_is_refused(
     fields: dict[str, str], options: dict[str, Any], reason: str, tmp_path: Path
 ) -> None:
     """The message says what to do."""
     path = write_costmap(tmp_path, COSTS, **fields)
-    collection = read_any(path, costmap="raw", **options)
-    assert not collection.maps
-    [(_, found)] = collection.left_out
-    assert reason in found
-    assert "\n" not in found
+    with pytest.raises(FormatError, match=reason) as error:
+        read_any(path, costmap="raw", **options)
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -567,8 +611,9 @@ def test_pixels_that_are_no_costs_are_refused(pixels: Bytes, tmp_path: Path) -> 
         pixels = colours
     Image.fromarray(pixels).save(tmp_path / "map.png")
     path = write(tmp_path, (tmp_path / "map.png").read_bytes(), "map.png", mode="raw")
-    [(_, reason)] = read_any(path, costmap="raw").left_out
-    assert "map.png: expected a grey picture of 8 bits, costs 0 to 255" in reason
+    message = r"map\.png: expected a grey picture of 8 bits, costs 0 to 255"
+    with pytest.raises(FormatError, match=message):
+        read_any(path, costmap="raw")
     Image.fromarray(np.full((2, 3, 3), 7, np.uint8)).save(tmp_path / "map.png")
     terrain = read_any(path, costmap="raw").maps[0].terrain
     assert terrain is not None

@@ -235,9 +235,8 @@ def test_a_file_of_another_name_is_refused(folder: Path) -> None:
     for path in folder.iterdir():
         path.rename(folder / f"my_{path.name}")
     assert recognise(folder) == "warcraft"
-    collection = read_any(folder)
-    assert not collection.maps
-    assert len(collection.left_out) == 3
+    with pytest.raises(FormatError, match=r"no map can be used: .*; .*; "):
+        read_any(folder)
 
 
 def test_sets_of_several_sizes_are_datasets_of_their_own(tmp_path: Path) -> None:

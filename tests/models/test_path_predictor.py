@@ -46,6 +46,7 @@ from mapdata.models.learned_planners import GuidedSearch, planners
 from mapdata.models.mixed_batches import MixedBatches
 from mapdata.models.model import WEIGHTS
 from mapdata.models.path_predictor import HALF_TURN, TRAINING_FIELDS, PathPredictor, targets_on_path
+from mapdata.models.train import refine_path_predictor, train_path_predictor
 from mapdata.search import STEPS, search_batch
 from mapdata.search.lattice import heuristics
 
@@ -1027,3 +1028,12 @@ def test_the_script_takes_data_that_move_as_the_model(
                 f"--data.movement={movement}",
             ]
         )
+
+
+@pytest.mark.parametrize("flags", [["--data.root", "m32"], ["--data.root=m32"]])
+def test_flags_of_a_dataset_need_its_class(flags: list[str]) -> None:
+    """The default data mix several sets of maps, so the error names the class to ask for."""
+    message = r"^--data.root: .*say --data mapdata.MapDataModule --data.root \.\.\.$"
+    for train in (train_path_predictor, refine_path_predictor):
+        with pytest.raises(SystemExit, match=message):
+            train(["fit", *flags])

@@ -180,6 +180,22 @@ def test_routes_lie_side_by_side_and_show_their_direction() -> None:
     plot_cells(axes, np.empty((0, 2), np.int64), "black", "no path")
 
 
+def test_a_line_stays_within_a_cell_of_its_path() -> None:
+    """On a large map a cell is less than a point, and both of two equal paths are still seen."""
+    for side in (20, 64, 1600):
+        axes = plot_grid(np.zeros((side, side)))
+        path = np.array([(3, k) for k in range(12)])
+        for lane in (-1, 1):
+            plot_cells(axes, path, "black", "a path", lane=lane)
+        figure_of(axes).draw_without_rendering()
+        cell = np.abs(axes.transData.transform((1, 1)) - axes.transData.transform((0, 0)))
+        for line in axes.get_lines():
+            shift = line.get_transform().transform((3, 3)) - axes.transData.transform((3, 3))
+            assert (np.abs(shift) < 0.7 * cell).all(), side
+        widths = [line.get_linewidth() for line in axes.get_lines()]
+        assert widths[0] - widths[1] > 1 if side == 1600 else widths[0] == widths[1], side
+
+
 def test_start_and_goal_have_different_shapes() -> None:
     """So they differ in black and white, too."""
     axes = plot_grid(np.zeros((9, 9)))

@@ -487,6 +487,14 @@ def test_points_in_metres_are_those_of_the_cells() -> None:
     np.testing.assert_allclose(turned[0], np.array([[10, 20], [8.5, 22]]))
 
 
+def test_points_and_origins_of_another_shape_are_refused() -> None:
+    """The error names the expected shape; an origin has a yaw."""
+    with pytest.raises(ValueError, match=r"origin: got \(0, 0\), expected \(x, y, yaw\)"):
+        to_metres([[1, 2]], 3, 0.5, (0, 0))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"points: got shape \(3,\), expected \(..., 2\)"):
+        to_metres([1, 2, 3], 3, 0.5)
+
+
 def test_pulling_refuses_what_it_cannot_serve() -> None:
     """With the names of the arguments."""
     free = np.zeros((3, 4), np.uint8)
