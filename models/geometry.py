@@ -115,6 +115,8 @@ def check_problems(
             outside its map, on an occupied cell, or not of integers.
     """
     cells = np.asarray(maps)
+    if np.ndim(starts) == 1 and cells.shape[:-2] not in ((), (1,)):
+        raise ValueError(f"map: got shape {cells.shape}, expected (H, W), one map for one start")
     is_occupied = cells == 1
     is_neither = ~is_occupied & (cells != 0)
     if is_neither.any():
