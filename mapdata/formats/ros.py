@@ -95,11 +95,19 @@ class RosMap:
     mode: str = "trinary"
 
     def to_metres(self, row: float, column: float) -> tuple[float, float]:
-        """Return (x, y), in metres, of the middle of a cell (row, col).
+        """Return (x, y), in metres, of the middle of one cell (row, col).
 
         `mapdata.to_metres` takes points instead of cells, whose middle is (row + 0.5, col + 0.5),
         and many at once.
+
+        Raises:
+            ValueError: row or column is an array.
         """
+        if np.ndim(row) or np.ndim(column):
+            raise ValueError(
+                f"row: got shape {np.shape(row)}, expected one cell; for many, "
+                "mapdata.to_metres(cells + 0.5, rows, resolution, origin)"
+            )
         middle = (row + 0.5, column + 0.5)
         x, y = to_metres(middle, len(self.cells), self.resolution, self.origin).tolist()
         return x, y

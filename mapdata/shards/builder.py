@@ -13,6 +13,8 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from mapdata.checks import check_count, check_integers
 from mapdata.generators.generator import check_plain, unknown_family, why_not_drawn
 from mapdata.generators.recipe import (
@@ -21,6 +23,7 @@ from mapdata.generators.recipe import (
     as_recipe,
     check_reproducible,
     generate,
+    is_pinned,
 )
 from mapdata.hashing import canonical_json
 from mapdata.search.labels import label
@@ -31,7 +34,7 @@ from mapdata.shards.image import shard_image
 from mapdata.shards.locations import target_folder
 from mapdata.shards.manifest import MANIFEST, Entry, Manifest, entry_of, path_in, read_manifest
 from mapdata.shards.merging import check_names, load_shard, merge, sweep, union
-from mapdata.shards.reader import map_shard
+from mapdata.shards.reader import map_shard, open_shard, sound_labels
 from mapdata.shards.workers import (
     MAX_PENDING_IN_THREADS,
     Advance,
@@ -153,6 +156,7 @@ def _build_shards(
         if manifest.complete or not is_writable:
             return manifest
         return _list_finished(root, manifest)
+    _check_drawn_as_stored(root, existing, recipe)
     if executor is not None:
         _compile_kernels(missing[0])
     map_count = sum(header.maps for header in assigned)
@@ -469,6 +473,37 @@ def _check_same_dataset(root: Path, planned: Manifest, existing: Manifest) -> No
             f"root: {root} holds {existing.maps} maps, asked for {planned.maps}: a dataset only "
             "grows"
         )
+
+
+def _check_drawn_as_stored(root: Path, existing: Manifest, recipe: Recipe) -> None:
+    """Refuse to add maps to a dataset if its family, one of a user, now draws other maps.
+
+    A ``draw`` that was edited has the same parameters. The dataset would become a mixture, and the
+    last shard, if it is partial, would be replaced by other maps. The first map of the last sound
+    shard is drawn again and compared.
+
+    Raises:
+        ValueError: the two differ.
+    """
+    if is_pinned(recipe.generator):
+        return
+    for entry in reversed(existing.shards):
+        try:
+            stored = sound_labels(open_shard(path_in(root, entry.name))).maps
+        except (ShardError, FileNotFoundError):
+            continue  # The build replaces a damaged shard.
+        number = int(stored.index[0])
+        drawn = generate(recipe, indices=[number])
+        is_same = np.array_equal(stored.packed[0], drawn.packed[0])
+        if stored.terrain is not None and drawn.terrain is not None:
+            is_same &= np.array_equal(stored.terrain[0], drawn.terrain[0])
+        if not is_same:
+            raise ValueError(
+                f"root: {root} cannot be continued: {recipe.generator.name} draws another map "
+                f"{number} than the stored one, so its draw has changed since; build into another "
+                "folder, or register the changed family under another name"
+            )
+        return
 
 
 def _facts(manifest: Manifest) -> dict[str, object]:

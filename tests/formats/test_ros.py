@@ -154,6 +154,8 @@ def test_metres_are_measured_from_the_origin(tmp_path: Path) -> None:
     ros_map = read_map(write(tmp_path, origin="[1.0, 2.0, 0.0]"))
     assert ros_map.to_metres(1, 0) == pytest.approx((1.025, 2.025))
     assert ros_map.to_metres(0, 2) == pytest.approx((1.125, 2.075))
+    with pytest.raises(ValueError, match=r"row: got shape \(2,\), expected one cell; for many"):
+        ros_map.to_metres(np.array([0, 1]), np.array([2, 0]))  # type: ignore[arg-type]
     turned = read_map(write(tmp_path, origin="[1.0, 2.0, 1.5707963267948966]"))
     assert turned.to_metres(0, 2) == pytest.approx((1 - 0.075, 2.125))
 

@@ -50,6 +50,7 @@ from mapdata.generators import (
     with_seed_points,
 )
 from mapdata.generators.generator import stored_generator
+from mapdata.shards import read_manifest
 
 
 @dataclass(frozen=True)
@@ -204,6 +205,31 @@ def test_a_family_that_draws_other_maps_each_time_is_refused(tmp_path: Path) -> 
             OnlineMapDataset(generator, length=4)
     assert not root.exists()
     assert len(OnlineMapDataset(Stripes(), length=4)) == 4
+
+
+@pytest.mark.parametrize("shard_size", [2, 100])
+def test_a_dataset_is_not_extended_with_maps_of_an_edited_draw(
+    stripes: type[Stripes], tmp_path: Path, shard_size: int
+) -> None:
+    """The stored maps stay: a partial last shard would be replaced, others would be mixed."""
+
+    @dataclass(frozen=True)
+    class Edited(Stripes):
+        def draw(self, seed: int, indices: Ints) -> Maps:
+            """Return other maps than `Stripes` for the same parameters."""
+            grids = np.zeros((len(indices), *self.map_size), np.uint8)
+            grids[:, 1 :: self.every, 2:] = 1
+            return with_seed_points(self, seed, indices, grids)
+
+    root = tmp_path / "maps"
+    before = build(root, stripes(), maps=3, shard_size=shard_size, workers=1)
+    with pytest.raises(ValueError, match=r"cannot be continued: stripes draws another map \d than"):
+        build(root, Edited(), maps=5, shard_size=shard_size, workers=1)
+    assert read_manifest(root) == before
+    unchanged = build(root, Edited(), maps=3, shard_size=shard_size, workers=1)
+    assert unchanged.shards == before.shards
+    after = build(root, stripes(), maps=5, shard_size=shard_size, workers=1)
+    assert after.maps == 5
 
 
 def test_a_family_that_counts_in_bytes_is_refused() -> None:

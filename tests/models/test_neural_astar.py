@@ -290,7 +290,7 @@ def test_it_plans_where_there_is_a_path(trained: NeuralAstar, tmp_path: Path) ->
     assert in_training.expansions == trained.plan(grids[0], (0, 0), (20, 20)).expansions
     for name, tensor in trained.state_dict().items():
         assert torch.equal(tensor, before[name]), name
-    with pytest.raises(ValueError, match="start: got"):
+    with pytest.raises(ValueError, match="start: "):
         trained.plan(np.eye(5, dtype=np.uint8), (0, 0), (4, 3))
 
 
