@@ -115,14 +115,14 @@ def check_problems(
             outside its map, on an occupied cell, or not of integers.
     """
     cells = np.asarray(maps)
-    if np.ndim(starts) == 1 and cells.shape[:-2] not in ((), (1,)):
-        raise ValueError(f"map: got shape {cells.shape}, expected (H, W), one map for one start")
     is_occupied = cells == 1
     is_neither = ~is_occupied & (cells != 0)
     if is_neither.any():
         value = cells[is_neither][0]
         raise ValueError(f"map: got the value {value}, expected 0 free and 1 occupied only")
     grids = is_occupied.astype(np.uint8).reshape(-1, *cells.shape[-2:])
+    if len(grids) > 1 and np.size(starts) == 2:  # such as a picture (H, W, 3)
+        raise ValueError(f"map: got shape {cells.shape}, expected one map (H, W) for one start")
     if grids.all(axis=(1, 2)).any():
         raise ValueError(
             f"map: got one of {grids.shape[1:]} without a free cell; 0 is free and 1 is occupied"

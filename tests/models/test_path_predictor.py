@@ -388,7 +388,7 @@ def test_a_map_of_other_values_than_0_and_1_is_refused(value: float) -> None:
     grid[4, 4] = value
     with pytest.raises(ValueError, match=f"map: got the value {value}"):
         model.predict_path(grid, (0, 0), (8, 8))
-    with pytest.raises(ValueError, match=r"map: got shape \(9, 9, 3\), expected \(H, W\)"):
+    with pytest.raises(ValueError, match=r"map: got shape .*9, 9, 3\), expected one map"):
         model.predict_path(np.zeros((9, 9, 3)), (0, 0), (8, 8))
 
 
