@@ -266,9 +266,9 @@ def check_reproducible(recipe: Recipe) -> None:
     """
     if is_pinned(recipe.generator):
         return
-    second_of_two = _arrays_of_last(generate(recipe, indices=[0, 1]))
-    alone = _arrays_of_last(generate(recipe, indices=[1]))
-    if not all(map(np.array_equal, second_of_two, alone)):
+    two = generate(recipe, indices=[0, 1])
+    alone = generate(recipe, indices=[1])
+    if not is_same_map(two, 1, alone, 0):
         raise ValueError(
             f"{recipe.generator.name}: map 1 differs when it is drawn again, so its recipe would "
             "not make the same maps twice; draw must take all random numbers from block(seed, "
@@ -283,19 +283,26 @@ def is_pinned(generator: MapGenerator) -> bool:
     return all(is_of_mapdata(type(each)) for each in generators)
 
 
-def _arrays_of_last(maps: Maps) -> list[Array]:
-    """Return all that was drawn for the last map, without padding."""
-    rooms = int(maps.rooms[-1])
+def is_same_map(maps: Maps, k: int, others: Maps, other_k: int) -> bool:
+    """Return whether row ``k`` of ``maps`` and row ``other_k`` of ``others`` are drawn alike."""
+    drawn = _arrays_of_map(maps, k)
+    drawn_elsewhere = _arrays_of_map(others, other_k)
+    return len(drawn) == len(drawn_elsewhere) and all(map(np.array_equal, drawn, drawn_elsewhere))
+
+
+def _arrays_of_map(maps: Maps, k: int) -> list[Array]:
+    """Return all that was drawn for row ``k``, without padding."""
+    rooms = int(maps.rooms[k])
     arrays: list[Array] = [
-        maps.packed[-1],
-        maps.rooms[-1],
-        maps.passage_width[-1],
-        maps.seed_points[-1, :rooms],
-        maps.sizes[-1, :rooms],
-        maps.directions[-1, : rooms - 1],
-        maps.split[-1],
+        maps.packed[k],
+        maps.rooms[k],
+        maps.passage_width[k],
+        maps.seed_points[k, :rooms],
+        maps.sizes[k, :rooms],
+        maps.directions[k, : rooms - 1],
+        maps.split[k],
     ]
-    return arrays if maps.terrain is None else [*arrays, maps.terrain[-1]]
+    return arrays if maps.terrain is None else [*arrays, maps.terrain[k]]
 
 
 def _map_numbers(indices: Iterable[int]) -> Ints:

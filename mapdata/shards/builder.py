@@ -13,8 +13,6 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from mapdata.checks import check_count, check_integers
 from mapdata.generators.generator import check_plain, unknown_family, why_not_drawn
 from mapdata.generators.recipe import (
@@ -24,6 +22,7 @@ from mapdata.generators.recipe import (
     check_reproducible,
     generate,
     is_pinned,
+    is_same_map,
 )
 from mapdata.hashing import canonical_json
 from mapdata.search.labels import label
@@ -493,11 +492,7 @@ def _check_drawn_as_stored(root: Path, existing: Manifest, recipe: Recipe) -> No
         except (ShardError, FileNotFoundError):
             continue  # The build replaces a damaged shard.
         number = int(stored.index[0])
-        drawn = generate(recipe, indices=[number])
-        is_same = np.array_equal(stored.packed[0], drawn.packed[0])
-        if stored.terrain is not None and drawn.terrain is not None:
-            is_same &= np.array_equal(stored.terrain[0], drawn.terrain[0])
-        if not is_same:
+        if not is_same_map(stored, 0, generate(recipe, indices=[number]), 0):
             raise ValueError(
                 f"root: {root} cannot be continued: {recipe.generator.name} draws another map "
                 f"{number} than the stored one, so its draw has changed since; build into another "

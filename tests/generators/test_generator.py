@@ -208,8 +208,9 @@ def test_a_family_that_draws_other_maps_each_time_is_refused(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("shard_size", [2, 100])
+@pytest.mark.parametrize("edit", ["cells", "seed points"])
 def test_a_dataset_is_not_extended_with_maps_of_an_edited_draw(
-    stripes: type[Stripes], tmp_path: Path, shard_size: int
+    stripes: type[Stripes], tmp_path: Path, shard_size: int, edit: str
 ) -> None:
     """The stored maps stay: a partial last shard would be replaced, others would be mixed."""
 
@@ -217,6 +218,9 @@ def test_a_dataset_is_not_extended_with_maps_of_an_edited_draw(
     class Edited(Stripes):
         def draw(self, seed: int, indices: Ints) -> Maps:
             """Return other maps than `Stripes` for the same parameters."""
+            if edit == "seed points":
+                maps = super().draw(seed, indices)
+                return replace(maps, seed_points=maps.seed_points[:, ::-1].copy())
             grids = np.zeros((len(indices), *self.map_size), np.uint8)
             grids[:, 1 :: self.every, 2:] = 1
             return with_seed_points(self, seed, indices, grids)
@@ -477,7 +481,7 @@ def test_registering_refuses_what_cannot_work() -> None:
             return 2
 
         def draw(self, seed: int, indices: Ints) -> Maps:
-            raise NotImplementedError
+            raise AssertionError("register refuses the class before anything is drawn")
 
     @dataclass(frozen=True)
     class Unfinished(MapGenerator):
