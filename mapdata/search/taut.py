@@ -17,7 +17,7 @@ https://doi.org/10.1002/net.3230140304, and bends only at corners of obstacles.
 
 For a robot every occupied cell is enlarged by an octagon around the robot's disc. The octagon has
 two sides along each axis and four diagonal ones, so the corners of enlarged cells are whole
-numbers, too.
+numbers, too. A bend of such a line that the disc does not need is removed afterwards.
 """
 
 from __future__ import annotations
@@ -143,7 +143,8 @@ def pull_taut(grid: ArrayLike, path: ArrayLike, radius: float = 0) -> Floats:
     With a radius, the middle of a disc moves on the line, and stays at least ``radius`` away from
     every obstacle and from the border. Around a corner the line follows an octagon instead of an
     arc, which adds at most 5.5 % to the length of the arc. Where the octagon, unlike the disc, has
-    no room, the line follows the cells of the path.
+    no room, the line follows the cells of the path. In both cases it has no bend that the disc can
+    pass straight without changing the side on which it passes an obstacle.
 
     Args:
         grid: (H, W) of 0 free and 1 occupied, or bool; at most 65,536 rows and columns.
@@ -583,6 +584,29 @@ def _nearest_obstacles(
 
 
 @kernel
+def _fits(grid: Bytes, cell_row: Int, cell_column: Int, octagon: Octagon) -> Int:
+    """Return whether an octagon about the middle of a cell enters no obstacle; it may touch some.
+
+    Args:
+        grid: (H, W) uint8, 1 occupied.
+        cell_row: row of the cell.
+        cell_column: column of the cell.
+        octagon: around the robot.
+    """
+    y = cell_row * CELL + MIDDLE
+    x = cell_column * CELL + MIDDLE
+    # In farther rows and columns no obstacle is near enough.
+    cells_around = _rounded_up(octagon.reach - MIDDLE, CELL)
+    for row in range(cell_row - cells_around, cell_row + cells_around + 1):
+        half_width = _half_width(row, y, octagon)
+        for column in range(cell_column - cells_around, cell_column + cells_around + 1):
+            distance = max(column * CELL - x, x - (column + 1) * CELL, 0)
+            if distance < half_width and _is_occupied(grid, row, column):
+                return False
+    return True
+
+
+@kernel
 def _measure(grid: Bytes, strip: Int, column: Int, octagon: Octagon, sleeve: Sleeve, k: Int) -> Int:
     """Write the trapezoid of a strip at a column of cells into row k of the sleeve.
 
@@ -942,6 +966,14 @@ def _write_line(grid: Bytes, path: Ints, attempt: Int, robot: Robot, work: Works
             count = _append_to_line(row, path[k, 1] * CELL + MIDDLE, line, count)
         return count
     octagon = robot.roomy if attempt == 0 else robot.snug
+    # The octagon may have no room at the start or the goal, although the disc has: no line of the
+    # octagon's free space ends there. From such a start the sleeve leads back into that space,
+    # which can be a detour.
+    last = len(path) - 1
+    if not _fits(grid, path[0, 0], path[0, 1], octagon):
+        return _BLOCKED
+    if not _fits(grid, path[last, 0], path[last, 1], octagon):
+        return _BLOCKED
     trapezoids = _follow(grid, path, octagon, work.sleeve)
     if trapezoids == _BLOCKED:
         return _BLOCKED
@@ -1044,6 +1076,81 @@ def _lines_are_free(grids: Bytes, lines: Ints, squared_radius: Int, corner_cutti
 
 
 @kernel
+def _encloses_obstacle(grid: Bytes, line: Ints, first: Int, second: Int, third: Int) -> Int:
+    """Return whether an occupied cell lies inside a triangle whose three sides are free.
+
+    Args:
+        grid: (H, W) uint8, 1 occupied.
+        line: (P, 2) points in 1/256 cell.
+        first: number of the first corner of the triangle in ``line``.
+        second: number of the second corner.
+        third: number of the third corner.
+    """
+    row0 = line[first, 0]
+    row1 = line[second, 0]
+    row2 = line[third, 0]
+    column0 = line[first, 1]
+    column1 = line[second, 1]
+    column2 = line[third, 1]
+    top = min(row0, row1, row2) // CELL
+    bottom = max(row0, row1, row2) // CELL
+    left = min(column0, column1, column2) // CELL
+    right = max(column0, column1, column2) // CELL
+    for row in range(top, bottom + 1):
+        for column in range(left, right + 1):
+            if not _is_occupied(grid, row, column):
+                continue
+            # No side crosses the cell, so its middle stands for all of it.
+            y = row * CELL + MIDDLE
+            x = column * CELL + MIDDLE
+            side0 = (row1 - row0) * (x - column0) - (column1 - column0) * (y - row0)
+            side1 = (row2 - row1) * (x - column1) - (column2 - column1) * (y - row1)
+            side2 = (row0 - row2) * (x - column2) - (column0 - column2) * (y - row2)
+            if (side0 > 0 and side1 > 0 and side2 > 0) or (side0 < 0 and side1 < 0 and side2 < 0):
+                return True
+    return False
+
+
+@kernel
+def _drop_bends(
+    grid: Bytes, line: Ints, count: Int, squared_radius: Int, corner_cutting: Int
+) -> Int:
+    """Remove the bends of a robot's line that the disc does not need; return the number of points.
+
+    The octagon is larger than the disc, and the line along a path without room for an octagon bends
+    where the path does. A bend goes if the straight line between its two neighbours is free, and if
+    no obstacle lies between that line and the bend. So the line stays in its homotopy class.
+
+    Args:
+        grid: (H, W) uint8, 1 occupied.
+        line: (P, 2) the start, the bends and the goal in 1/256 cell, changed in place.
+        count: number of these points.
+        squared_radius: squared distance that the straight line needs from each obstacle.
+        corner_cutting: whether a line may touch a point where two occupied cells meet diagonally.
+    """
+    kept = 0
+    for k in range(count):
+        row = line[k, 0]
+        column = line[k, 1]
+        line[kept, 0] = row
+        line[kept, 1] = column
+        while kept >= 2:
+            row0 = line[kept - 2, 0]
+            column0 = line[kept - 2, 1]
+            if (
+                not is_free_segment(grid, row0, column0, row, column, corner_cutting)
+                or not has_room(grid, row0, column0, row, column, squared_radius)
+                or _encloses_obstacle(grid, line, kept - 2, kept - 1, kept)
+            ):
+                break
+            kept -= 1
+            line[kept, 0] = row
+            line[kept, 1] = column
+        kept += 1
+    return kept
+
+
+@kernel
 def _write_free_points(
     grid: Bytes,
     count: Int,
@@ -1111,6 +1218,11 @@ def _write_points(
         count = _write_line(grid, path, attempt, robot, work)
         if count == _BLOCKED:
             continue
+        if robot.squared_radius:
+            # Points between the ends of a segment are rounded, which takes less than the margin of
+            # the roomy octagon. A line without such points needs no margin.
+            squared_room = robot.roomy.reach**2 if points_per_line else robot.squared_radius
+            count = _drop_bends(grid, work.line, count, squared_room, corner_cutting)
         if points_per_line and count > points_per_line:
             return count
         if _write_free_points(

@@ -24,7 +24,7 @@ from mapdata import (
     pull_taut,
     to_metres,
 )
-from mapdata.generators import Cave, Forest, MapGenerator, Maze
+from mapdata.generators import PRESETS, Cave, Forest, MapGenerator, MapSpec, Maze
 from mapdata.search.taut import (
     CELL,
     MAX_TAUT_SIDE,
@@ -305,6 +305,100 @@ def test_a_robot_as_wide_as_a_corridor_follows_its_middle() -> None:
     bend = 4 - robot_of(1.5).snug.side / CELL
     line = pull_taut(grid, path, 1.5)
     np.testing.assert_array_equal(line, [[7.5, 2.5], [bend, 2.5], [2.5, bend], [2.5, 7.5]])
+
+
+def is_same_side(grid: Grid, line: Line, other: Line) -> bool:
+    """Return whether two lines with the same ends pass all obstacles on the same sides."""
+    loop = [*line.tolist(), *other.tolist()[-2:0:-1]]
+    middles = np.argwhere(grid == 1) + 0.5
+    return all(taut_reference.winding_number(loop, middle) == 0 for middle in middles.tolist())
+
+
+@pytest.mark.parametrize("radius", [0.5, 1.5, 2.5])
+def test_lines_on_empty_maps_are_straight(radius: float) -> None:
+    """Also beside the border, where the robot fits exactly, and for paths with detours."""
+    source = np.random.default_rng(12)
+    grid = np.zeros((8, 9), np.uint8)
+    inflated = inflate(grid, radius)
+    for _ in range(40):
+        corner, start, goal = (free_cells(inflated, source)[0] for _ in range(3))
+        path = astar(inflated, start, corner, Movement(8)).path.tolist()
+        path += astar(inflated, corner, goal, Movement(8)).path.tolist()[1:]
+        ends = np.array([start, goal]) + 0.5
+        expected = ends if (start != goal).any() else ends[:1]
+        np.testing.assert_array_equal(pull_taut(grid, path, radius), expected)
+
+
+@pytest.mark.parametrize("width", [1, 3, 5])
+def test_lines_in_corridors_are_as_short_as_the_corridors_allow(width: int) -> None:
+    """A robot as wide as a corridor has one way through it, straight on."""
+    grid = np.ones((width + 2, 20), np.uint8)
+    grid[1:-1, 1:-1] = 0
+    middle = 1 + width // 2
+    corridors = [(grid, (middle, middle), (middle, 19 - middle))]
+    corridors.append((np.ascontiguousarray(grid.T), (middle, middle), (19 - middle, middle)))
+    for corridor, start, goal in corridors:
+        path = astar(inflate(corridor, width / 2), start, goal, Movement(8)).path
+        line = pull_taut(corridor, path, width / 2)
+        np.testing.assert_array_equal(line, np.array([start, goal]) + 0.5)
+
+
+SMALL_FAMILIES: tuple[MapGenerator, ...] = (
+    MapSpec((24, 24), rooms=(3, 5), room_rows=(6, 12), room_columns=(6, 12), passage_width=(1, 5)),
+    Cave((24, 24), occupied=0.4),
+    Forest((24, 24), cover=(0.1, 0.2)),
+    Forest((24, 24), cover=(0.02, 0.06), sizes=(1, 1)),
+    Maze((25, 25), corridor=5, reopened=0.5),
+)
+
+
+@pytest.mark.parametrize("radius", [0.5, 1.5, 2.5])
+def test_lines_for_a_robot_are_nearly_as_short_as_a_visibility_graph(radius: float) -> None:
+    """Longer by the octagon alone, where the line and the graph's pass obstacles alike."""
+    source = np.random.default_rng(21)
+    ratios = []
+    for family in SMALL_FAMILIES:
+        for grid in generate(family, 8, range(4)).occupancy:
+            inflated = inflate(grid, radius)
+            if (inflated == 0).sum() < 20:
+                continue
+            start, goal = free_cells(inflated, source)
+            path = astar(inflated, start, goal, Movement(8)).path
+            if len(path) < 4:
+                continue
+            line = pull_taut(grid, path, radius)
+            shortest = taut_reference.shortest_line_of_disc(grid, start, goal, radius)
+            if is_same_side(grid, line, shortest):
+                ratios.append(length_of(line) / length_of(shortest))
+    assert len(ratios) >= 8
+    assert min(ratios) > 1 - 0.004
+    assert max(ratios) < 1.055
+    assert np.mean(ratios) < 1.01
+
+
+@pytest.mark.parametrize("radius", [0.3, 0.5, 1.5, 2.5])
+def test_a_line_for_a_robot_is_never_longer_than_a_free_straight_line(radius: float) -> None:
+    """Of the same homotopy class; and no bend can be left out."""
+    source = np.random.default_rng(31)
+    compared = 0
+    for name in ("paper", "narrow", "cave", "forest", "noise"):
+        for grid in generate(PRESETS[name], 5, range(20)).occupancy:
+            inflated = inflate(grid, radius)
+            if (inflated == 0).sum() < 2:
+                continue
+            start, goal = free_cells(inflated, source)
+            path = astar(inflated, start, goal, Movement(8)).path
+            if len(path) < 2:
+                continue
+            line = pull_taut(grid, path, radius)
+            straight = np.array([start, goal]) + 0.5
+            chords = [(line, straight)]
+            chords += [(line[k : k + 3], line[k : k + 3 : 2]) for k in range(len(line) - 2)]
+            for part, chord in chords:
+                if lines_are_free([grid], [chord], radius)[0] and is_same_side(grid, part, chord):
+                    assert length_of(part) <= length_of(chord) * (1 + 1e-12)
+                    compared += 1
+    assert compared >= 10
 
 
 def test_the_symmetries_of_a_map_move_its_taut_lines() -> None:
