@@ -199,8 +199,10 @@ def lines_are_free(
     cells and the outside of the map, or nearer to it than ``radius``.
 
     Args:
-        grids: (B, H, W) of 0 free and 1 occupied, or bool.
-        lines: (B, T, 2) finite points (row, col) in cells, T at least 1; they are rounded to 1/256.
+        grids: (B, H, W) of 0 free and 1 occupied, or bool; also (B, 1, H, W), as datasets serve the
+            field ``map``.
+        lines: (B, T, 2) points (row, col) in cells, T at least 1; they are rounded to 1/256. A line
+            with a number that is not finite collides.
         radius: of the robot, in cells.
         corner_cutting: whether a line may touch a point where two occupied cells meet diagonally.
 
@@ -214,8 +216,10 @@ def lines_are_free(
     >>> lines_are_free([grid, grid], [[[0.5, 0.5], [2.5, 0.5]], [[0.5, 0.5], [2.5, 1.5]]])
     array([ True, False])
     """
-    cells = as_grid(grids, 3)
-    if cells.max() > 1:
+    maps = np.asarray(grids)
+    has_channel = maps.ndim == 4 and maps.shape[1] == 1
+    cells = as_grid(maps[:, 0] if has_channel else maps, 3)
+    if cells.size and cells.max() > 1:
         raise ValueError(values_complaint(cells))
     points = np.asarray(lines, np.float64)
     is_batch = points.ndim == 3 and points.shape[1] > 0 and points.shape[2] == 2
@@ -223,11 +227,11 @@ def lines_are_free(
         raise ValueError(
             f"lines: got shape {points.shape} for {len(cells)} grids, expected ({len(cells)}, T, 2)"
         )
-    if not np.isfinite(points).all():
-        raise ValueError("lines: got a number that is not finite")
     _check_size(cells)
-    # A point outside the map stays outside where it is moved closer to it.
-    rounded = np.rint(np.clip(points, -1, MAX_TAUT_SIDE + 1) * CELL).astype(np.int64)
+    # A point outside the map stays outside where it is moved closer to it. So a point that is not
+    # finite, such as those of a network that diverged, may stand outside, too.
+    inside_or_near = np.clip(np.nan_to_num(points, nan=-1.0), -1, MAX_TAUT_SIDE + 1)
+    rounded = np.rint(inside_or_near * CELL).astype(np.int64)
     return _lines_are_free(cells, rounded, robot_of(radius).squared_radius, corner_cutting)
 
 

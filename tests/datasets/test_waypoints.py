@@ -147,6 +147,17 @@ def test_lines_with_more_bends_than_fit_are_refused_filled_or_left_out() -> None
     assert is_filled.any()
 
 
+def test_a_line_with_all_but_one_of_its_points_is_refused() -> None:
+    """Start, bends and goal need a point each: T - 2 bends fit into T points, T - 1 do not."""
+    mazes = OnlineMapDataset("maze", length=1, fields=("map", "path"))
+    bends = len(pull_taut(mazes[0].map[0], mazes[0].path)) - 2
+    fitting = OnlineMapDataset("maze", length=1, fields=(Waypoints(bends + 2),))
+    assert fitting[:].waypoints.min() >= 0
+    too_few = OnlineMapDataset("maze", length=1, fields=(Waypoints(bends + 1),))
+    with pytest.raises(ValueError, match=f"{bends} bends, expected at most {bends - 1} for"):
+        too_few[:]
+
+
 def test_a_filter_limits_the_number_of_bends(root: str) -> None:
     """So that all lines that it leaves fit."""
     dataset = MapDataset(root, problems="pairs", fields=("map", "path", Waypoints(130)))

@@ -1,8 +1,10 @@
 """Slow, obviously right geometry: which lines are free, and how short the shortest one is.
 
-`mapdata` is used in one place, where `lines_are_free`, which is compared with `is_free_segment`
-and `squared_distance` elsewhere, tests the many segments of a visibility graph. A grid is an array of 0 free and 1 occupied; a point is ``(row,
-col)`` in cells, of whole numbers or fractions, and the map covers 0 to H and 0 to W.
+A grid is an array of 0 free and 1 occupied; a point is ``(row, col)`` in cells, of whole numbers or
+fractions, and the map covers 0 to H and 0 to W.
+
+`mapdata` is used in one place: `lines_are_free` tests the many segments of a visibility graph. It
+is itself compared with `is_free_segment` and `squared_distance`.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import pytest
+import torch
 from helpers import taut_reference
 from helpers.grids import random_grids, serpentine
 
@@ -564,13 +565,30 @@ def test_lines_of_models_are_free_if_all_their_segments_are(radius: float) -> No
         (np.zeros((2, 3, 2)), r"lines: got shape \(2, 3, 2\) for 1 grids, expected \(1, T, 2\)"),
         (np.zeros((1, 3)), r"lines: got shape \(1, 3\)"),
         (np.zeros((1, 0, 2)), r"lines: got shape \(1, 0, 2\)"),
-        (np.full((1, 3, 2), np.nan), "lines: got a number that is not finite"),
     ],
 )
 def test_lines_of_another_shape_are_refused(lines: Line, message: str) -> None:
-    """Or with numbers that are no positions."""
+    """The error names the shape that fits the grids."""
     with pytest.raises(ValueError, match=message):
         lines_are_free(np.zeros((1, 3, 4), np.uint8), lines)
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf, 1e300])
+def test_lines_with_numbers_that_are_no_positions_collide(number: float) -> None:
+    """A network that diverged gets no error in the middle of a validation."""
+    lines = np.full((3, 4, 2), 1.5)
+    lines[1, 2, 1] = number
+    assert lines_are_free(np.zeros((3, 3, 4), np.uint8), lines).tolist() == [True, False, True]
+
+
+def test_lines_are_tested_on_maps_as_datasets_serve_them() -> None:
+    """A channel axis, floats, tensors, and a batch without problems."""
+    maps = torch.tensor([[[[0, 1], [0, 0]]], [[[0, 0], [0, 0]]]], dtype=torch.float32)
+    lines = torch.tensor([[[0.5, 0.5], [0.5, 1.5]]] * 2)
+    assert lines_are_free(maps, lines).tolist() == [False, True]
+    assert lines_are_free(maps[:0], lines[:0]).tolist() == []
+    with pytest.raises(ValueError, match=r"grid: got shape \(1, 2, 2, 2\), expected \(B, H, W\)"):
+        lines_are_free(np.zeros((1, 2, 2, 2), np.uint8), np.zeros((1, 3, 2)))
 
 
 def test_points_in_metres_are_those_of_the_cells() -> None:
