@@ -106,29 +106,65 @@ def build_command(
 
 
 def info_command(
-    root: list[str], *, recipe: bool = False, card: Literal[True] | str | None = None
+    root: list[str],
+    *,
+    recipe: bool = False,
+    card: Literal[True] | str | None = None,
+    problems: Literal[True] | str | None = None,
+    split: Literal["train", "val", "test"] | None = None,
+    connectivity: Literal[4, 8] | None = None,
+    corner_cutting: bool = False,
+    diagonal_cost: float | None = None,
+    radius: float = 0.0,
 ) -> None:
-    """Print counts, shares and hashes of a dataset, print its recipe, or write its card.
+    """Print what a dataset holds, its recipe, what its problems are worth, or write its card.
 
     Examples:
       mapdata info data/maps
       mapdata info data/maps --recipe > recipe.json
       mapdata info data/maps --card
       mapdata info data/maps --card -
+      mapdata info data/maps --problems
+      mapdata info data/maps --problems '{"random": {"hardness": [1.05, null]}}' --connectivity 8
 
     Args:
         root: folder or URL of a dataset; maps of several datasets are numbered one after another
         recipe: print the recipe: a few lines of JSON from which the dataset can be built again
         card: write the dataset card to this file, or print it if this is - (default: README.md in
             ROOT)
+        problems: print which shares of 300 problems need a planner and have one shortest path: of
+            route, pairs or random problems, or of those of a JSON text (default: route); the card
+            states them, too
+        split: problems of this split only
+        connectivity: 4-connected or 8-connected movement of the problems (default: the stored one)
+        corner_cutting: allow diagonal moves beside occupied cells
+        diagonal_cost: cost of a diagonal move: 1 or 1.41421356
+        radius: radius of the robot, in metres
     """
+    from mapdata.cli.convert import movement_of_flags
     from mapdata.describe import card as card_of
     from mapdata.shards import Root, write_file, write_output
     from mapdata.shards.locations import target_folder
 
     if recipe and card is not None:
         raise ValueError("--recipe: not allowed with --card")
+    movement = movement_of_flags(connectivity, corner_cutting, diagonal_cost)
+    if problems is None and (split is not None or movement is not None or radius):
+        raise ValueError("--split, --connectivity and --radius: need --problems")
+    if recipe and problems is not None:
+        raise ValueError("--recipe: not allowed with --problems")
     dataset = Root.open(root)
+    if problems is not None or card is not None:
+        # It imports torch, which takes longer than all that `info` does otherwise.
+        from mapdata.datasets import MapDataset
+
+        source = problems if isinstance(problems, str) else "route"
+        served = MapDataset(root, split, problems=source, movement=movement, radius=radius)
+        statistics = served.problem_statistics()
+    if problems is not None and card is None:
+        print(statistics)
+        print(f"\n{statistics.target_text()}")
+        return
     if card is None:
         for folder, manifest in zip(dataset.locations, dataset.manifests, strict=True):
             print(manifest.recipe() if recipe else summary(folder, manifest))
@@ -136,13 +172,13 @@ def info_command(
     if card is True and len(root) > 1:
         raise ValueError("--card: got several datasets; name the file, as in --card FILE")
     if card == "-":
-        print(card_of(root, progress=True), end="")
+        print(card_of(root, problems=statistics, progress=True), end="")
         return
     path = target_folder(root[0]) / "README.md" if card is True else output_path(card)
     # A README.md in the dataset is replaced even if it is a link, which a stranger may have placed
     # there. A file that the user names is written through links and pipes.
     write = write_file if card is True else write_output
-    write(path, card_of(root, progress=True).encode())
+    write(path, card_of(root, problems=statistics, progress=True).encode())
     print(f"wrote {path}")
 
 

@@ -1,4 +1,7 @@
-"""The kernels of `mapdata.datasets.fields`: each fills one or more fields for a whole batch."""
+"""The kernels of `mapdata.datasets.fields`: each fills one or more fields for a whole batch.
+
+`count_shortest_paths` counts what the fields of all shortest paths hold.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Float32s, Ints, UInt32s
 from mapdata.jit import Int, inlined, kernel
+from mapdata.movement import STEPS
 from mapdata.search.bitboard import write_optimal_moves
 from mapdata.search.kernels import Scratch, cost_at, new_scratch, shortest_costs
 from mapdata.search.lattice import (
@@ -31,6 +35,9 @@ PROBABLE = 0.95
 """TransPath's threshold of the path probability."""
 
 NO_ROOM = -2
+
+MANY_PATHS = 10
+"""`count_shortest_paths` stops counting here. An open room has more paths than fit int64."""
 
 
 class GoalFields(NamedTuple):
@@ -179,6 +186,57 @@ def mark_optimal_cells(
                     mask[position(neighbour, lattice)] = 1
                     stack[stack_size] = neighbour
                     stack_size += 1
+
+
+@kernel
+def count_shortest_paths(optimal_moves: Bytes, optimal_mask: Bytes, starts: Ints) -> Ints:
+    """Return the number of shortest paths (B,) of each problem: 0 without a path, at most 10.
+
+    Terrain has no free cell of cost 0, so every optimal move lowers the cost to the goal, and the
+    optimal moves form a graph without cycles. A cell is counted when all cells before it are.
+
+    Args:
+        optimal_moves: (B, 1, H, W), bit sets of the moves that begin a shortest path.
+        optimal_mask: (B, 1, H, W), 1 on the cells of all shortest paths.
+        starts: (B, 2) cells.
+    """
+    count, _, rows, columns = optimal_moves.shape
+    counts = np.zeros(count, np.int64)
+    # Of each cell: the moves that lead to it from cells that are not counted yet, and the number of
+    # shortest paths from the start to it.
+    moves_to = np.zeros((rows, columns), np.uint8)
+    paths_to = np.zeros((rows, columns), np.uint8)
+    stack = np.empty(rows * columns, np.uint32)
+    for b in range(count):
+        for row in range(rows):
+            for column in range(columns):
+                if optimal_mask[b, 0, row, column]:
+                    paths_to[row, column] = 0
+                    for move in range(8):
+                        if optimal_moves[b, 0, row, column] >> move & 1:
+                            moves_to[row + STEPS[move, 0], column + STEPS[move, 1]] += 1
+        if optimal_mask[b, 0, starts[b, 0], starts[b, 1]] == 0:
+            continue
+        paths_to[starts[b, 0], starts[b, 1]] = 1
+        stack[0] = starts[b, 0] * columns + starts[b, 1]
+        stack_size = 1
+        while stack_size:
+            stack_size -= 1
+            row = np.int64(stack[stack_size]) // columns
+            column = np.int64(stack[stack_size]) % columns
+            # The goal is the only cell without a move, and so the last one.
+            counts[b] = paths_to[row, column]
+            for move in range(8):
+                if optimal_moves[b, 0, row, column] >> move & 1:
+                    next_row = row + STEPS[move, 0]
+                    next_column = column + STEPS[move, 1]
+                    paths = np.int64(paths_to[next_row, next_column]) + counts[b]
+                    paths_to[next_row, next_column] = min(paths, MANY_PATHS)
+                    moves_to[next_row, next_column] -= 1
+                    if moves_to[next_row, next_column] == 0:
+                        stack[stack_size] = next_row * columns + next_column
+                        stack_size += 1
+    return counts
 
 
 @kernel

@@ -154,6 +154,9 @@ class OnlineMapDataset(SampledProblemDataset):
     def _map_indices(self, map_numbers: Ints) -> Ints:
         return map_numbers if self._maps_of_split is None else self._maps_of_split[map_numbers]
 
+    def _own_maps(self, problems: Ints) -> Ints:
+        return self._map_indices(problems)
+
     def _stored_maps(self, map_numbers: Ints) -> StoredMaps:
         return _as_stored_maps(self._maps(map_numbers))
 

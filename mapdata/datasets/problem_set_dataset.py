@@ -19,6 +19,7 @@ from mapdata.datasets.fields import (
     terrain_room_matrices,
 )
 from mapdata.datasets.info import DatasetInfo, field_infos
+from mapdata.describe.dataset_card import movement_text
 from mapdata.problems.problem_set import ProblemSet
 
 
@@ -120,6 +121,10 @@ class ProblemSetDataset(ProblemDataset):
             has_terrain=self.has_terrain,
             fields=field_infos(self._load(np.array([0]), 0)) if len(self) else None,
         )
+
+    def _served(self) -> str:
+        rule = movement_text(self.movement, self.has_terrain)
+        return f"{self.problem_set.description}; {rule}"
 
     def _problems(self, indices: Ints, epoch: int) -> Batch:
         del epoch  # the problems are the same in all epochs

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mapdata._version import __version__
+from mapdata.describe.problem_statistics import ProblemStatistics
 from mapdata.describe.statistics import DatasetStatistics, Repeats, dataset_statistics
 from mapdata.generators.generator import PRESETS, SHARED_PARAMETERS, MapGenerator, UnknownFamily
 from mapdata.limits import SPLITS
@@ -72,12 +73,15 @@ class Section(NamedTuple):
 def card(
     root: Locations,
     *,
+    problems: ProblemStatistics | None = None,
     progress: bool = False,
 ) -> str:
     """Return the card of a dataset as Markdown, with the front matter of the Hugging Face Hub.
 
     Args:
         root: folder or URL of the dataset, or several.
+        problems: what ``MapDataset(root).problem_statistics()`` returned, which becomes a section
+            of the card, as in the card of ``mapdata info ROOT --card``; None leaves it out.
         progress: show a progress bar.
 
     Raises:
@@ -85,7 +89,7 @@ def card(
         ShardError: a shard is missing or damaged.
     """
     statistics = dataset_statistics(root, repeats=True, progress=progress)
-    introduction, *other_sections = sections(statistics)
+    introduction, *other_sections = sections(statistics, problems)
     parts = [front_matter(title(statistics), len(statistics)), _markdown(introduction, level=1)]
     parts += [_markdown(section, level=2) for section in other_sections]
     return "\n".join(parts)
@@ -120,11 +124,14 @@ def title(statistics: DatasetStatistics) -> str:
     return f"{names}: {len(statistics):,} grid maps of {rows} x {columns} cells"
 
 
-def sections(statistics: DatasetStatistics) -> list[Section]:
+def sections(
+    statistics: DatasetStatistics, problems: ProblemStatistics | None = None
+) -> list[Section]:
     """Return the sections of a dataset's card.
 
     Args:
         statistics: of the dataset, from `dataset_statistics` with ``repeats=True``.
+        problems: statistics of the problems that are served; None leaves the section out.
     """
     root = statistics.root
     names = _folder_names(statistics)
@@ -141,6 +148,7 @@ def sections(statistics: DatasetStatistics) -> list[Section]:
         _splits_section(statistics),
         _shares_section(statistics),
         *_terrain_sections(statistics),
+        *([] if problems is None else [_problems_section(problems)]),
         _distributions_section(statistics),
         _duplicates_section(statistics),
         _usage_section(statistics),
@@ -350,6 +358,12 @@ def _terrain_sections(statistics: DatasetStatistics) -> list[Section]:
             rows.append((name, _share_text(cell_count, free_count)))
     text = f"Shares of the free cells of all maps. {TERRAIN_RULE.capitalize()}."
     return [Section("Terrain", text, table=rows)]
+
+
+def _problems_section(problems: ProblemStatistics) -> Section:
+    """Return what the problems are worth that are served."""
+    rows = [("", ""), ("problems", problems.served), *problems.rows()]
+    return Section("Problems that are served", problems.target_text(), table=rows)
 
 
 def _distributions_section(statistics: DatasetStatistics) -> Section:

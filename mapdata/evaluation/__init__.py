@@ -1,12 +1,12 @@
 """Comparing planners: one table for anything that plans, and the classical rows."""
 
+from mapdata.describe.intervals import confidence_intervals
 from mapdata.evaluation.metrics import (
     METRICS,
     TERRAIN_METRICS,
     BatchPlanner,
     Plan,
     Planner,
-    confidence_intervals,
     evaluate,
     score_paths,
     to_text,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import inspect
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -17,6 +17,7 @@ import pandas as pd
 
 from mapdata.arrays import Bytes, Floats, Ints, summary
 from mapdata.checks import check_choice, check_count
+from mapdata.describe.intervals import confidence_intervals
 from mapdata.limits import Cell
 from mapdata.problems.problem_set import ProblemSet
 from mapdata.search.api import BatchResult, check_path
@@ -212,37 +213,6 @@ def score_paths(
     unknown = np.full(len(problems), np.nan)
     run = _Run(costs, expansions, unknown, unknown, unknown, np.nan)
     return _table([name], [run], problems, problems.optimal.iterations, bootstrap, seed)
-
-
-def confidence_intervals(
-    outcomes: Floats, metrics: Callable[[Floats], Floats], bootstrap: int = 1000, seed: int = 0
-) -> Floats:
-    """Return metrics of mean outcomes, with 95 % percentile intervals over resampled problems.
-
-    Args:
-        outcomes: (n, ..., C), C outcomes of n problems, perhaps with axes between for planners.
-        metrics: function that computes M metrics (..., M) from mean outcomes (..., C); NaN where
-            a metric is undefined.
-        bootstrap: number of resamples, which consist of the same problems for all planners.
-        seed: of the resamples.
-
-    Returns:
-        (3, ..., M): the metrics, the lower and the upper end of their intervals; NaN when n is 0.
-    """
-    n = len(outcomes)
-    of_all_problems = metrics(outcomes.sum(axis=0) / max(n, 1))
-    if n == 0:
-        return np.full((3, *of_all_problems.shape), np.nan)
-    generator = np.random.default_rng(seed)
-    sums = np.empty((bootstrap, *outcomes.shape[1:]))
-    for k in range(bootstrap):
-        # The sum over a resample weights each problem by how often it is drawn. So the outcomes
-        # need not be copied for each resample.
-        times_drawn = np.bincount(generator.integers(n, size=n), minlength=n)
-        sums[k] = np.tensordot(times_drawn, outcomes, 1)
-    resampled = pd.DataFrame(metrics(sums / n).reshape(bootstrap, -1))
-    ends = resampled.quantile([0.025, 0.975]).to_numpy()  # pandas leaves NaN out
-    return np.concatenate([of_all_problems[None], ends.reshape(2, *of_all_problems.shape)])
 
 
 def to_text(table: pd.DataFrame) -> str:

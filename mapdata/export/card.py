@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mapdata.datasets.fields import FIELDS
 from mapdata.describe.dataset_card import front_matter
+from mapdata.describe.problem_statistics import ProblemStatistics
 from mapdata.export.parquet import HUB_SPLITS
 
 
 def problem_card(
-    name: str, about: dict[str, Any], fields: Sequence[str], licence: str | None
+    name: str,
+    about: dict[str, Any],
+    fields: Sequence[str],
+    statistics: Mapping[str, ProblemStatistics],
+    licence: str | None,
 ) -> str:
     """Return the card of exported problems as Markdown.
 
@@ -20,6 +25,7 @@ def problem_card(
         name: of the folder.
         about: what ``export.json`` says.
         fields: the columns.
+        statistics: of the problems of each split.
         licence: identifier of the Hub; None leaves it out.
     """
     counts: dict[str, int] = about["problems"]
@@ -38,9 +44,12 @@ def problem_card(
         f"{total:,} path-planning problems on grid maps, made by mapdata {about['mapdata']}. A row "
         "is a problem.",
         "",
-        "| split | problems |",
-        "|---|---|",
-        *(f"| {HUB_SPLITS[split]} | {count:,} |" for split, count in counts.items()),
+        "| split | problems | different maps |",
+        "|---|---|---|",
+        *(
+            f"| {HUB_SPLITS[split]} | {count:,} | {about['maps'][split]:,} |"
+            for split, count in counts.items()
+        ),
         "",
         "## Columns",
         "",
@@ -51,6 +60,7 @@ def problem_card(
         "|---|---|",
         *(f"| {field} | {_meaning(field)} |" for field in fields),
         "",
+        *_statistics_lines(statistics),
         "## Use it",
         "",
         "```python",
@@ -70,6 +80,22 @@ def problem_card(
         "```",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _statistics_lines(statistics: Mapping[str, ProblemStatistics]) -> list[str]:
+    """Return the section on what the problems are worth, a column for each split."""
+    columns = [dict(of_split.rows()) for of_split in statistics.values()]
+    first = next(iter(statistics.values()))
+    return [
+        "## What the problems are worth",
+        "",
+        first.target_text(),
+        "",
+        f"| | {' | '.join(HUB_SPLITS[split] for split in statistics)} |",
+        "|---" * (len(columns) + 1) + "|",
+        *(f"| {name} | {' | '.join(column[name] for column in columns)} |" for name in columns[0]),
+        "",
+    ]
 
 
 def _meaning(field: str) -> str:

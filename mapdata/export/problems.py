@@ -14,11 +14,13 @@ from typing import Any
 import numpy as np
 
 from mapdata._version import __version__
-from mapdata.arrays import Array
+from mapdata.arrays import Array, Ints
 from mapdata.checks import check_choice, check_count, check_flag, did_you_mean
 from mapdata.datasets.dataset import MapDataset, ProblemDataset
 from mapdata.datasets.fields import FIELDS
 from mapdata.datasets.online import OnlineMapDataset
+from mapdata.datasets.problem_statistics import measure
+from mapdata.describe.problem_statistics import ProblemStatistics
 from mapdata.describe.statistics import count_repeats, hash_grids
 from mapdata.export.card import problem_card
 from mapdata.export.layouts import LAYOUTS, Columns, Layout
@@ -57,6 +59,13 @@ _MAX_BATCH = 4096
 _MAX_COUNT = 10**8
 """Problems of a split; the numbers of so many maps take 1.6 GB."""
 
+_FEW_MAPS = 0.9
+"""There is a note if random problems are on less than this share of the maps that they could use.
+"""
+
+_FEW_SINGLE_PATHS = 0.9
+"""There is a note if less than this share of problems has one shortest path."""
+
 _MAZE_TEXT_FIELDS = ("map", "start", "goal", "path")
 
 
@@ -83,7 +92,8 @@ def export_problems(
 
     The problems are written in batches, so that memory stays small however many they are. The
     folder appears when it is complete. ``export.json`` in it names the recipe or the dataset, all
-    options, and the SHA-256 of every file's content.
+    options, the number of different maps, what 300 problems of each split are worth
+    (`mapdata.describe.ProblemStatistics`), and the SHA-256 of every file's content.
 
     Args:
         source: folder or URL of a built dataset, or several; or a preset's name, a recipe (file,
@@ -152,8 +162,9 @@ def export_problems(
         folder.mkdir()
         writer = _writer(format, folder, options, parts)
         max_batch = LAYOUTS[format].max_batch if format in LAYOUTS else _MAX_BATCH
-        map_hashes = _write(parts, writer, max_batch, progress)
+        map_hashes, map_indices = _write(parts, writer, options.fields, max_batch, progress)
         counts = {part.split: part.count for part in parts}
+        statistics = {part.split: measure(part.dataset, count=part.count) for part in parts}
         files = writer.finish(counts, dataset.map_size)
         about = {
             "mapdata": __version__,
@@ -161,17 +172,21 @@ def export_problems(
             "origin": origin,
             "options": options.plain(dataset),
             "problems": counts,
+            "maps": {split: len(np.unique(map_indices[split])) for split in map_indices},
+            "problem_statistics": {split: statistics[split].to_dict() for split in statistics},
             "files": files,
             "content_hash": json_hash(files),
         }
         (folder / ABOUT).write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
         if format == "parquet":
-            card = problem_card(local_path(target).name, about, options.fields, licence)
+            card = problem_card(local_path(target).name, about, options.fields, statistics, licence)
             (folder / "README.md").write_text(card, encoding="utf-8", newline="\n")
     default = f", the default of {format}" if problems is None else ""
     return [
         f"problems: {plain_text(options.problems)}{default}",
         *_count_notes(parts),
+        *_map_notes(parts, map_indices),
+        *_target_notes(options.fields, statistics),
         *_copy_notes(map_hashes),
     ]
 
@@ -190,10 +205,11 @@ class _Options:
     sampling_seed: int
 
     def serving(self, split: str) -> dict[str, Any]:
-        """Return the arguments of the dataset of a split."""
+        """Return the arguments of the dataset of a split, which also serves ``map_index``."""
         has_path = "path" in self.fields
         return {
             **vars(self),
+            "fields": tuple(dict.fromkeys((*self.fields, "map_index"))),
             "augment": self.augment and split == "train",
             "max_length": self.max_length if has_path else None,
         }
@@ -484,22 +500,30 @@ def _writer(format: str, folder: Path, options: _Options, parts: Sequence[_Part]
 
 
 def _write(
-    parts: Sequence[_Part], writer: Writer, max_batch: int, progress: bool
-) -> dict[str, Array]:
-    """Write all problems of all splits, at most ``max_batch`` at a time.
+    parts: Sequence[_Part],
+    writer: Writer,
+    fields: tuple[str, ...],
+    max_batch: int,
+    progress: bool,
+) -> tuple[dict[str, Array], dict[str, Ints]]:
+    """Write the fields of all problems of all splits, at most ``max_batch`` at a time.
 
     Returns:
         The hashes of the maps, one for each problem, by split; without the splits whose files have
-        no maps, or no costs of maps with terrain, and empty for a single split.
+        no maps, or no costs of maps with terrain, and empty for a single split. Then the numbers of
+        the maps, one for each problem, by split.
     """
     map_field = "terrain" if parts[0].dataset.has_terrain else "map"
     has_maps = map_field in parts[0].dataset.serving.fields
     hashes_of_batches: dict[str, list[Array]] = defaultdict(list)
+    indices_of_batches: dict[str, list[Ints]] = defaultdict(list)
     total = sum(part.count for part in parts)
     try:
         with bar(progress, total, unit=" problems") as advance:
             for part in parts:
-                for columns in part.batches(max_batch):
+                for served in part.batches(max_batch):
+                    indices_of_batches[part.split].append(served["map_index"])
+                    columns = {name: served[name] for name in fields}
                     writer.write(part.split, columns)
                     if has_maps and len(parts) > 1:
                         hashes = hash_grids(
@@ -510,7 +534,9 @@ def _write(
     except BaseException:
         writer.abort()
         raise
-    return {split: np.concatenate(hashes) for split, hashes in hashes_of_batches.items()}
+    map_hashes = {split: np.concatenate(hashes) for split, hashes in hashes_of_batches.items()}
+    map_indices = {split: np.concatenate(numbers) for split, numbers in indices_of_batches.items()}
+    return map_hashes, map_indices
 
 
 def _count_notes(parts: Sequence[_Part]) -> list[str]:
@@ -523,6 +549,43 @@ def _count_notes(parts: Sequence[_Part]) -> list[str]:
                 "maps are used again"
             )
     return notes
+
+
+def _map_notes(parts: Sequence[_Part], map_indices: Mapping[str, Ints]) -> list[str]:
+    """Return notes on random problems that are on fewer maps than they could be.
+
+    Args:
+        parts: the splits.
+        map_indices: numbers of the maps, one for each problem, by split.
+    """
+    notes = []
+    for part in parts:
+        _, problems_on_map = np.unique(map_indices[part.split], return_counts=True)
+        map_count = len(problems_on_map)
+        # Random problems of an epoch are one on each map, as long as each map has one.
+        possible_maps = min(part.count, len(part.dataset))
+        is_random = isinstance(part.dataset.serving.problems, Random)
+        if is_random and map_count < _FEW_MAPS * possible_maps:
+            notes.append(
+                f"{part.split}: these {part.count:,} problems are on {map_count:,} different maps "
+                f"of {possible_maps:,}, up to {problems_on_map.max():,} on one map, because few "
+                "maps have such a problem; wider conditions or more maps give more"
+            )
+    return notes
+
+
+def _target_notes(
+    fields: tuple[str, ...], statistics: Mapping[str, ProblemStatistics]
+) -> list[str]:
+    """Return a note if a path is written, and most problems have other shortest paths, too.
+
+    It is of the first split; the splits hardly differ.
+    """
+    split, first = next(iter(statistics.items()))
+    has_path = not {"path", "path_mask"}.isdisjoint(fields)
+    if has_path and first.single_path.value < _FEW_SINGLE_PATHS:
+        return [f"{split}: {first.target_text()}"]
+    return []
 
 
 def _copy_notes(map_hashes: Mapping[str, Array]) -> list[str]:

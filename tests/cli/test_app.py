@@ -24,7 +24,7 @@ from helpers.builds import MAPS, SEED, SIZE, SPEC, make, shard_name, stamps, unp
 from helpers.families import forget, write_module
 
 import mapdata
-from mapdata import MapSpec, Maze, Movement, build, read_shard
+from mapdata import MapDataset, MapSpec, Maze, Movement, build, read_shard
 from mapdata.cli import app as cli
 from mapdata.generators import PRESETS, Cave, Terrain
 from mapdata.generators.generator import _presets
@@ -206,6 +206,28 @@ def test_build_extends_a_dataset(run: Command, tmp_path: Path) -> None:
     assert run("build", root, "--maps", 6, "--shard-size", 2).code == 0
     assert {name: stamps(root)[name] for name in before} == before
     assert len(read_manifest(root).shards) == 3
+
+
+def test_info_prints_what_the_problems_are_worth(run: Command, dataset: Path) -> None:
+    """Of the problems, movement, split and radius that the flags name."""
+    printed = run("info", dataset, "--problems")
+    statistics = MapDataset(dataset).problem_statistics()
+    assert printed.out == f"{statistics!r}\n\n{statistics.target_text()}\n"
+    source = '{"random": {"hardness": [1.05, null]}}'
+    served = MapDataset(
+        dataset, "train", problems=source, movement=Movement(8, True, 1), radius=0.05
+    )
+    rule = ("--connectivity", 8, "--corner-cutting", "--diagonal-cost", 1)
+    printed = run(
+        "info", dataset, "--problems", source, "--split", "train", "--radius", 0.05, *rule
+    )
+    assert printed.out.startswith(f"{served.problem_statistics()!r}\n")
+    assert f"{source}; 8-connected" in printed.out
+    run.refused(2, "need --problems", "info", dataset, "--split", "train")
+    run.refused(2, "need --problems", "info", dataset, "--radius", 0.1)
+    run.refused(2, "need --problems", "info", dataset, "--connectivity", 8)
+    run.refused(2, "--recipe", "info", dataset, "--recipe", "--problems")
+    run.refused(2, "problems: got 'routes'", "info", dataset, "--problems", "routes")
 
 
 def test_info_says_that_a_dataset_is_not_finished(run: Command, copied: Path) -> None:

@@ -184,13 +184,28 @@ def test_an_unfinished_dataset_says_so(tmp_path: Path) -> None:
 def test_command_writes_the_card_beside_the_data(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Command writes the card beside the data."""
+    """Command writes the card beside the data, with the statistics of what is served."""
     root = build_small(tmp_path / "d")
     main(["info", root, "--card"])
     assert capsys.readouterr().out == f"wrote {Path(root) / 'README.md'}\n"
-    assert (Path(root) / "README.md").read_text(encoding="utf-8") == card(root)
+    statistics = MapDataset(root).problem_statistics()
+    expected = card(root, problems=statistics)
+    assert (Path(root) / "README.md").read_text(encoding="utf-8") == expected
     main(["info", root, "--card", str(tmp_path / "card.md")])
-    assert (tmp_path / "card.md").read_text(encoding="utf-8") == card(root)
+    assert (tmp_path / "card.md").read_text(encoding="utf-8") == expected
+    low, high = statistics.single_path.low, statistics.single_path.high
+    share = f"{statistics.single_path.value:.1%}"
+    rows = table(expected, "Problems that are served")
+    assert rows["one shortest path"] == [f"{share} ({low:.1%} to {high:.1%})"]
+    assert rows["problems"][0].startswith("route; 4-connected")
+    section = expected.split("## Problems that are served\n")[1].split("\n## ")[0]
+    assert f"{share} of the problems have one shortest path." in section
+    assert r"optimal\_mask and optimal\_moves hold all" in section
+    assert "Problems that are served" not in card(root)
+    main(["info", root, "--card", "-", "--problems", "random", "--split", "val"])
+    rows = table(capsys.readouterr().out, "Problems that are served")
+    assert rows["problems"][0].startswith("random; 4-connected")
+    assert rows["problems"][0].endswith("split val")
     assert verify(root) == []
     build_small(Path(root), maps=70)  # it still grows
     with pytest.raises(SystemExit) as ended:

@@ -14,7 +14,17 @@ import pytest
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from mapdata import MapDataset, MapGenerator, Maze, Movement, OnlineMapDataset, Random, Route, build
+from mapdata import (
+    MapDataset,
+    MapGenerator,
+    MapSpec,
+    Maze,
+    Movement,
+    OnlineMapDataset,
+    Random,
+    Route,
+    build,
+)
 from mapdata.arrays import Array
 from mapdata.export import LAYOUTS, PROBLEM_FORMATS, export_problems
 from mapdata.export.growing_array import GrowingArray
@@ -130,6 +140,45 @@ def test_notes_count_the_problems_whose_maps_are_also_in_train(tmp_path: Path) -
     for format_name in ("arrays", "maze-hard"):
         notes = export_problems(MAZE, tmp_path / format_name, format=format_name, count=10)
         assert not [note for note in notes if "also in train" in note]
+
+
+def test_an_export_says_what_its_problems_are_worth(tmp_path: Path) -> None:
+    """Of the problems that it wrote; a path is one of several answers where mazes are no trees."""
+    rooms = MapSpec((20, 20), (2, 5), (4, 9), (4, 9))
+    notes = export_problems(rooms, tmp_path / "rooms", count=30, problems="random")
+    statistics = OnlineMapDataset(rooms, 0, 30, "train", problems="random").problem_statistics()
+    values = about(tmp_path / "rooms")
+    assert values["problem_statistics"]["train"] == json.loads(json.dumps(statistics.to_dict()))
+    assert values["maps"] == dict.fromkeys(SPLIT_COUNTS, 30)
+    assert f"train: {statistics.target_text()}" in notes
+    assert "optimal_mask and optimal_moves" in statistics.target_text()
+    notes = export_problems(rooms, tmp_path / "costs", count=5, fields=("map", "cost_to_go"))
+    assert not [note for note in notes if "one shortest path" in note]
+    notes = export_problems(MAZE, tmp_path / "mazes", format="maze-hard", count=5)
+    assert not [note for note in notes if "one shortest path" in note]
+    assert about(tmp_path / "mazes")["problem_statistics"]["val"]["single_path"][0] == 1
+
+
+def test_a_note_says_that_random_problems_are_on_few_maps(root: str, tmp_path: Path) -> None:
+    """Counted by ``map_index``, which is only written if it is asked for."""
+    far = Random(length=(75, None))
+    dataset = MapDataset(root, "train", ("map_index",), problems=far)
+    _, counts = np.unique(dataset[:].map_index, return_counts=True)
+    assert len(counts) < 0.9 * len(dataset)
+    for fields in (("start",), ("start", "map_index")):
+        folder = tmp_path / "-".join(fields)
+        notes = export_problems(root, folder, split="train", problems=far, fields=fields)
+        (note,) = (note for note in notes if "different maps" in note)
+        assert note.startswith(
+            f"train: these {len(dataset)} problems are on {len(counts)} different maps of "
+            f"{len(dataset)}, up to {counts.max()} on one map"
+        )
+        assert about(folder)["maps"] == {"train": len(counts)}
+        assert sorted(file.stem for file in (folder / "train").iterdir()) == sorted(fields)
+    # As many problems as wanted on all maps, and a few of them, are not few maps.
+    for count in (5, 200):
+        notes = export_problems(root, tmp_path / str(count), count=count, problems="random")
+        assert not [note for note in notes if "different maps" in note]
 
 
 def test_maps_of_terrain_are_copies_only_if_their_costs_are_equal(tmp_path: Path) -> None:
@@ -377,6 +426,10 @@ def test_parquet_rows_are_problems(root: str, tmp_path: Path) -> None:
     card = (tmp_path / "out/README.md").read_text()
     assert "# Give the path of this folder, or OWNER/out once it is on the Hub." in card
     assert '\nlicense: "cc-by-4.0"\n---\n' in card
+    counts = about(tmp_path / "out")["maps"]
+    assert f"| validation | {len(dataset)} | {counts['val']} |" in card
+    assert "| cells on any shortest path / path | 1.00 (1.00 to 1.00) |" in card
+    assert "100.0% of the problems have one shortest path." in card
 
 
 def test_large_sets_are_several_files(
