@@ -87,7 +87,7 @@ class ProblemStatistics:
             problems: as the attribute.
             has_terrain: whether the maps have terrain, so that the hardness says nothing.
             is_drawn: whether the problems are drawn, so that they may be replaced.
-            hardness: (n,) cost over heuristic.
+            hardness: (n,) cost over heuristic, -1 without a path.
             path_counts: (n,) number of shortest paths, 0 without one; 10 stands for 10 or more.
             lengths: (n,) number of cells of the path.
             optimal_cells: (n,) number of cells on any shortest path.
@@ -100,7 +100,7 @@ class ProblemStatistics:
         solved = int(has_path.sum())
 
         def share(is_member: Flags) -> Estimate:
-            return share_of(int((is_member & has_path).sum()), solved)
+            return share_of(int(is_member.sum()), solved)
 
         ratios = np.stack([optimal_cells, expansions], axis=1)[has_path] / lengths[has_path, None]
         cells_ratio, expansion_ratio = confidence_intervals(ratios, lambda means: means).T

@@ -577,7 +577,7 @@ def _map_notes(parts: Sequence[_Part], map_indices: Mapping[str, Ints]) -> list[
 def _target_notes(
     fields: tuple[str, ...], statistics: Mapping[str, ProblemStatistics]
 ) -> list[str]:
-    """Return a note if a path is written, and most problems have other shortest paths, too.
+    """Return a note if paths are written that are often one of several shortest paths.
 
     It is of the first split; the splits hardly differ.
     """

@@ -113,12 +113,26 @@ def test_random_problems(movement: Movement, generator: Any) -> None:
 
 
 def test_open_maps_have_more_paths_than_are_counted() -> None:
-    """252 shortest paths between the corners of 6 x 6 cells, and all cells are on one."""
-    corners = np.array([[0, 0]]), np.array([[5, 5]])
-    problems = ProblemSet(np.zeros((1, 6, 6), np.uint8), *corners, Movement())
+    """1287 shortest paths between the corners, which is 7 in 8 bits, and all cells are on one."""
+    corners = np.array([[0, 0]]), np.array([[5, 8]])
+    problems = ProblemSet(np.zeros((1, 6, 9), np.uint8), *corners, Movement())
     dataset = ProblemSetDataset(problems, FIELDS)
     (truth,) = assert_true(dataset.problem_statistics(), dataset)
-    assert truth == Truth(True, False, 252, 36 / 11, truth.expansion_ratio)
+    assert truth == Truth(True, False, 1287, 54 / 14, truth.expansion_ratio)
+
+
+def test_small_detours_are_no_hard_problems_and_not_straight_either() -> None:
+    """A detour of 2 cells is 5 % of 40 cells, 4.9 % of 41, and 0.8 % of 250."""
+    grid = np.zeros((2, 251), np.uint8)
+    grid[0, 1] = 1
+    goals = np.array([(0, 40), (0, 41), (0, 250), (1, 40)])
+    starts = goals * (1, 0)
+    problems = ProblemSet(np.broadcast_to(grid, (4, 2, 251)), starts, goals, Movement())
+    statistics = ProblemSetDataset(problems).problem_statistics()
+    assert statistics.no_detour is not None
+    assert statistics.hard is not None
+    assert (statistics.no_detour.value, statistics.hard.value) == (1 / 4, 1 / 4)
+    assert (statistics.maps, statistics.most_on_one_map) == (1, 4)
 
 
 @pytest.mark.parametrize("generator", [NOISE, HILLS], ids=["noise", "hills"])
@@ -177,8 +191,10 @@ def test_maps_are_counted_by_what_they_hold(tmp_path: Path) -> None:
     assert (statistics.maps, statistics.maps_up_to_symmetry) == (2, 1)
     assert statistics.most_on_one_map == 2
     root = samples.build_small(tmp_path / "maps")
-    dataset = MapDataset(root, fields=FIELDS, problems="pairs", radius=0.1)
+    # With this radius all cells are occupied, but the maps are different.
+    dataset = MapDataset(root, fields=FIELDS, problems=Pairs(unsolvable=True), radius=5)
     statistics = dataset.problem_statistics(10**6)
+    assert statistics.without_path == len(dataset)
     _, counts = np.unique(dataset[:].map_index, return_counts=True)
     assert (statistics.maps, statistics.most_on_one_map) == (len(counts), counts.max())
     costs = np.where(corner == 1, 0, np.array([2, 2, 3])[:, None, None]).astype(np.uint8)
