@@ -126,7 +126,7 @@ def test_small_detours_are_no_hard_problems_and_not_straight_either() -> None:
     grid = np.zeros((2, 251), np.uint8)
     grid[0, 1] = 1
     goals = np.array([(0, 40), (0, 41), (0, 250), (1, 40)])
-    starts = goals * (1, 0)
+    starts = np.array([(0, 0), (0, 0), (0, 0), (1, 0)])
     problems = ProblemSet(np.broadcast_to(grid, (4, 2, 251)), starts, goals, Movement())
     statistics = ProblemSetDataset(problems).problem_statistics()
     assert statistics.no_detour is not None
