@@ -135,11 +135,59 @@ def largest_component(grid: Bytes, diagonals: Int) -> Ints:
         The numbers row * W + column of the cells, in ascending order. Of equally large components
         the one whose first cell comes first is chosen.
     """
+    _, columns = grid.shape
+    run_rows, run_starts, run_ends, roots, sizes = _connected_runs(grid, diagonals)
+    run_count = len(roots)
+    largest = 0
+    for run in range(run_count):
+        if sizes[run] > sizes[largest]:
+            largest = run
+    cells = np.empty(sizes[largest] if run_count > 0 else 0, np.int64)
+    cell_count = 0
+    for run in range(run_count):
+        if roots[run] == largest:
+            for column in range(run_starts[run], run_ends[run]):
+                cells[cell_count] = run_rows[run] * columns + column
+                cell_count += 1
+    return cells
+
+
+@kernel
+def count_components(grid: Bytes, diagonals: Int, min_cells: Int) -> Int:
+    """Return how many connected components of free cells have at least ``min_cells`` cells.
+
+    Args:
+        grid: (H, W), 0 free.
+        diagonals: as for `largest_component`.
+        min_cells: at least 1.
+    """
+    _, _, _, _, sizes = _connected_runs(grid, diagonals)
+    count = 0
+    for size in sizes:
+        if size >= min_cells:
+            count += 1
+    return count
+
+
+@kernel
+def _connected_runs(grid: Bytes, diagonals: Int) -> tuple[Ints, Ints, Ints, Ints, Ints]:
+    """Return the runs of free cells of a grid, and which of them are connected.
+
+    A run is a longest row of adjacent free cells. The cells of a run are connected, so that
+    components are found by joining the few runs that touch.
+
+    Args:
+        grid: (H, W), 0 free.
+        diagonals: as for `largest_component`.
+
+    Returns:
+        Five arrays (K,) of the K runs in reading order: the row of each run, its first column, the
+        column after its last one, the root of its component, which is the component's earliest run,
+        and the number of cells of the component if the run is a root, else 0.
+    """
     rows, columns = grid.shape
     # Diagonal moves between occupied cells also join runs that meet at a corner only.
     reach = 1 if diagonals == 2 else 0
-    # A run is a longest row of adjacent free cells: columns run_starts to run_ends - 1. The cells
-    # of a run are connected, so that components are found by joining the few runs that touch.
     max_runs = rows * ((columns + 1) // 2)
     run_rows = np.empty(max_runs, np.int64)
     run_starts = np.empty(max_runs, np.int64)
@@ -178,18 +226,7 @@ def largest_component(grid: Bytes, diagonals: Int) -> Ints:
     for run in range(run_count):
         parents[run] = parents[parents[run]]  # Earlier runs already point to their roots.
         sizes[parents[run]] += run_ends[run] - run_starts[run]
-    largest = 0
-    for run in range(run_count):
-        if sizes[run] > sizes[largest]:
-            largest = run
-    cells = np.empty(sizes[largest] if run_count > 0 else 0, np.int64)
-    cell_count = 0
-    for run in range(run_count):
-        if parents[run] == largest:
-            for column in range(run_starts[run], run_ends[run]):
-                cells[cell_count] = run_rows[run] * columns + column
-                cell_count += 1
-    return cells
+    return run_rows, run_starts, run_ends, parents[:run_count], sizes
 
 
 @inlined

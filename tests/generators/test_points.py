@@ -13,6 +13,7 @@ from scipy import ndimage
 
 from mapdata.arrays import Bytes
 from mapdata.generators import draw_points, largest_component
+from mapdata.generators.points import count_components
 
 SETTINGS = settings(max_examples=100)
 GRIDS = arrays.arrays(
@@ -37,6 +38,15 @@ def test_largest_component(grid: Bytes, cut: bool) -> None:
         return
     sizes = np.bincount(labels.ravel())[1:]  # scipy numbers components in row-major order too
     assert np.array_equal(cells, np.flatnonzero(labels == 1 + int(np.argmax(sizes))))
+
+
+@SETTINGS
+@given(GRIDS, st.booleans(), st.integers(1, 6))
+def test_components_of_a_size_are_counted(grid: Bytes, cut: bool, min_cells: int) -> None:
+    """Their number is that of scipy."""
+    labels, _ = ndimage.label(grid == 0, np.ones((3, 3)) if cut else None)
+    sizes = np.bincount(labels.ravel())[1:]
+    assert count_components(grid, 2 if cut else 0, min_cells) == (sizes >= min_cells).sum()
 
 
 @SETTINGS
