@@ -21,6 +21,7 @@ GROUND = (
     "arrays",
     "checks",
     "hashing",
+    "hints",
     "interrupts",
     "jit",
     "limits",

@@ -11,6 +11,7 @@ from mapdata.formats import (
     paper,
     planning,
     ros,
+    text,
     tilebased,
     transpath,
     warcraft,
@@ -30,10 +31,11 @@ from mapdata.formats.registry import (
 )
 from mapdata.npy import FormatError
 
-# The order matters: if several formats recognise a file, it belongs to the last of them. The format
-# images comes first, since the others know better what some pictures and arrays mean.
+# The order matters: if several formats recognise a file, it belongs to the last of them. The first
+# are images and text, since the others know better what some pictures, arrays and tables mean.
 for _module in (
     images,
+    text,
     paper,
     movingai,
     ros,

@@ -9,6 +9,7 @@ from dataclasses import InitVar, dataclass, field
 import numpy as np
 
 from mapdata.arrays import Array, Bytes, Ints
+from mapdata.hints import hint_on_values
 from mapdata.limits import Size
 from mapdata.movement import Movement
 from mapdata.search.labels import Labels
@@ -74,7 +75,7 @@ class ForeignMap:
         if cells.ndim != 2 or not ((cells == 0) | (cells == 1)).all():
             raise ValueError(
                 f"cells: {self.name}: got {np.unique(cells)[:3]} in shape {cells.shape}, "
-                "expected 0 and 1 in shape (H, W)"
+                f"expected 0 and 1 in shape (H, W){hint_on_values(cells)}"
             )
         if self.split not in (None, 0, 1, 2):
             raise ValueError(f"split: {self.name}: got {self.split!r}, expected 0, 1, 2 or None")

@@ -15,6 +15,7 @@ import numpy as np
 from mapdata.arrays import Array, Bytes, Ints
 from mapdata.checks import check_count
 from mapdata.formats.collection import Collection
+from mapdata.hints import hint_on_values
 from mapdata.limits import SPLITS
 from mapdata.npy import MAX_BYTES, FormatError, StoredArray, refusing
 from mapdata.shards.root import Root
@@ -58,6 +59,25 @@ def check_file(path: Path, limits: Limits) -> None:
     size = path.stat().st_size
     if size > limits.unpacked:
         raise FormatError(f"{path}: has {size} bytes, expected at most {limits.unpacked}")
+
+
+def check_pixels(label: str, rows: int, columns: int, limits: Limits) -> None:
+    """Check the size of a map or picture.
+
+    Args:
+        label: names the map in errors.
+        rows: its rows.
+        columns: its columns.
+        limits: of the number of pixels.
+
+    Raises:
+        FormatError: it has no pixel, or more than ``limits.pixels``.
+    """
+    if not 1 <= rows * columns <= limits.pixels:
+        raise FormatError(
+            f"{label}: has {rows} x {columns} pixels, expected at most {limits.pixels} in all; "
+            "--max-pixels sets this limit"
+        )
 
 
 def read_bytes(path: Path, limits: Limits = LIMITS) -> bytes:
@@ -202,12 +222,16 @@ def to_occupancy(values: Array, label: str, threshold: float | None = None) -> B
     # With NaN every comparison is false, so this form of the test refuses it.
     is_in_range = 0 <= low <= high <= 1
     if not is_in_range:
-        raise FormatError(f"{label}: holds values from {low} to {high}, expected 0 to 1")
+        raise FormatError(
+            f"{label}: holds values from {low} to {high}, expected 0 to 1{hint_on_values(values)}"
+        )
     if values.dtype.kind in "biu":
         return values.astype(np.uint8, copy=False)  # no copy: an array may be very large
     occupied = values > (0.5 if threshold is None else threshold)
     if threshold is None and not np.array_equal(occupied, values):
-        raise FormatError(f"{label}: holds values between 0 and 1, expected only 0 and 1")
+        raise FormatError(
+            f"{label}: holds values between 0 and 1, expected only 0 and 1{hint_on_values(values)}"
+        )
     return occupied.view(np.uint8)
 
 
@@ -227,15 +251,15 @@ def check_grids(array: StoredArray, limits: Limits, threshold: float | None = No
     shape = array.shape
     has_channel = len(shape) == 4 and shape[1] == 1
     if not (len(shape) in (2, 3) or has_channel) or 0 in shape:
+        hint = ""
+        if shape[-1:] in ((3,), (4,)):
+            hint = "; it looks like pictures of colours: values[..., :3].mean(axis=-1) < 128"
         raise FormatError(
-            f"{array.label}: has shape {shape}, expected (H, W), (N, H, W) or (N, 1, H, W)"
+            f"{array.label}: has shape {shape}, expected (H, W), (N, H, W) or (N, 1, H, W){hint}"
         )
     count = 1 if len(shape) == 2 else shape[0]
     rows, columns = shape[-2:]
-    if rows * columns > limits.pixels:
-        raise FormatError(
-            f"{array.label}: has {rows} x {columns} pixels, expected at most {limits.pixels} in all"
-        )
+    check_pixels(array.label, rows, columns, limits)
     if count > limits.maps:
         raise FormatError(f"{array.label}: has {count} maps, expected at most {limits.maps}")
     for _ in read_grids(array, threshold):
@@ -258,6 +282,20 @@ def read_grids(array: StoredArray, threshold: float | None = None) -> Iterator[B
     for number, entry in enumerate(array.entries()):
         grid = to_occupancy(entry, f"{array.label}: map {number}", threshold)
         yield grid.reshape(grid.shape[-2:])
+
+
+def percent(share: float) -> str:
+    """Return a share of a whole as text, which says 0 or 100 % only of exactly that.
+
+    >>> percent(0.0), percent(1e-6), percent(0.75), percent(1 - 1e-6)
+    ('0.0%', 'less than 0.1%', '75.0%', 'more than 99.9%')
+    """
+    text = f"{share:.1%}"
+    if text == "0.0%" and share > 0:
+        return "less than 0.1%"
+    if text == "100.0%" and share < 1:
+        return "more than 99.9%"
+    return text
 
 
 def sampling_step(total: int, count: int) -> int:

@@ -79,7 +79,10 @@ def _parse_maze(name: str, line: str, split: int | None, limits: Limits) -> Fore
     """
     fields = line.rsplit(",", 3)  # only the first column, the source, may hold a comma
     if len(fields) < 4 or len(fields[1]) > limits.pixels:
-        raise FormatError(f"{name}: expected {HEADER} of at most {limits.pixels} cells")
+        raise FormatError(
+            f"{name}: expected {HEADER} of at most {limits.pixels} cells; --max-pixels sets this "
+            "limit"
+        )
     _, question, answer, _ = fields
     if not _QUESTION.fullmatch(question):
         raise FormatError(f"{name}: expected cells '#' and ' ', one S and one G")

@@ -111,7 +111,8 @@ def read_terrain(path: StrPath, limits: Limits = LIMITS) -> Bytes:
     columns = sides.get("width", 0)
     if not 1 <= rows * columns <= limits.pixels:
         raise FormatError(
-            f"{path}: height {rows} and width {columns}, expected 1 to {limits.pixels} cells"
+            f"{path}: height {rows} and width {columns}, expected 1 to {limits.pixels} cells; "
+            "--max-pixels sets this limit"
         )
     body = [line.rstrip(" \t") for line in lines[first_row : first_row + rows]]
     expected = f"{columns} letters ({rows} rows)"

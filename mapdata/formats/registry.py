@@ -91,11 +91,14 @@ def recognise(source: StrPath) -> str:
         ending for known_format in FORMATS.values() for ending in known_format.endings
     )
     format_by_path: dict[Path, Format] = {}
+    unrecognised: list[Path] = []
     for path in files_with_endings(source, all_endings, LIMITS, Collection()):
         for known_format in FORMATS.values():
             has_ending = path.suffix.lower() in known_format.endings
             if has_ending and path.is_file() and known_format.recognises(path):
                 format_by_path[path] = known_format  # the last format that recognises it stays
+        if path not in format_by_path:
+            unrecognised.append(path)
     # The pictures of a ROS map do not make its folder a folder of images too.
     companion_endings = {
         ending
@@ -107,13 +110,32 @@ def recognise(source: StrPath) -> str:
         for path, known_format in format_by_path.items()
         if path.suffix.lower() not in companion_endings
     }
-    if len(names) != 1:
-        content = "no file of a known format"
-        if names:
-            content = f"files of {' and '.join(sorted(names))}"
-        readable = ", ".join(functions_by_format("read"))
-        raise FormatError(f"{source}: holds {content}; --format says which to read ({readable})")
+    if not names:
+        raise FormatError(f"{source}: holds no file of a known format{_advice(unrecognised)}")
+    if len(names) > 1:
+        raise FormatError(
+            f"{source}: holds files of {' and '.join(sorted(names))}; --format says which to read"
+        )
     return names.pop()
+
+
+def _advice(unrecognised: list[Path]) -> str:
+    """Return the end of the error that no file is of a known format: what can be done.
+
+    Args:
+        unrecognised: the files that no format recognises, in a folder those with a known ending.
+    """
+    known_formats = [known_format for known_format in FORMATS.values() if known_format.read]
+    for path in unrecognised:
+        ending = path.suffix.lower()
+        names = [each.name for each in known_formats if ending in each.endings]
+        if names:
+            return (
+                f"; {path.name} has the ending of {', '.join(names)}: --format {names[0]} says "
+                "what is wrong with it"
+            )
+    endings = sorted({ending for each in known_formats for ending in each.endings})
+    return f"; expected files that end with {', '.join(endings)}"
 
 
 def read_any(

@@ -46,7 +46,8 @@ def check_weights(array: StoredArray, limits: Limits) -> None:
     count, rows, columns = shape
     if rows * columns > limits.pixels:
         raise FormatError(
-            f"{array.label}: has {rows} x {columns} cells, expected at most {limits.pixels} in all"
+            f"{array.label}: has {rows} x {columns} cells, expected at most {limits.pixels} in "
+            "all; --max-pixels sets this limit"
         )
     if count > limits.maps:
         raise FormatError(f"{array.label}: has {count} maps, expected at most {limits.maps}")

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from mapdata.arrays import Array, Bytes, Float32s, Floats, Ints, summary
 from mapdata.checks import check_choice
+from mapdata.hints import hint_on_values
 from mapdata.limits import MAX_CELL_COST
 from mapdata.movement import Movement, check_movement
 from mapdata.search.jump_points import jump_to_goals
@@ -588,6 +589,7 @@ def as_grid(grid: ArrayLike, rank: int) -> Bytes:
     if len(shape) != rank or shape[-2] == 0 or shape[-1] == 0:
         raise ValueError(
             f"grid: got shape {shape}, expected {'(H, W)' if rank == 2 else '(B, H, W)'} not empty"
+            f"{hint_on_values(array) if array.dtype.kind in 'US' else ''}"
         )
     if shape[-2] * shape[-1] > MAX_CELLS:
         raise ValueError(f"grid: got {_size(array)} cells, expected at most {MAX_CELLS} in all")
@@ -642,7 +644,10 @@ def _as_bytes(array: Array) -> Bytes:
     if array.dtype == np.bool_:
         return array.view(np.uint8)
     if array.dtype.kind not in "iuf":
-        raise ValueError(f"grid: got dtype {array.dtype}, expected 0 free and 1 occupied, or bool")
+        raise ValueError(
+            f"grid: got dtype {array.dtype}, expected 0 free and 1 occupied, or bool"
+            f"{hint_on_values(array)}"
+        )
     # The kernel is compiled once for each of two dtypes, and for one memory layout.
     wide_dtype = np.int64 if array.dtype.kind in "iu" else np.float64
     numbers = np.require(array, wide_dtype, ["C", "A", "W"])
@@ -706,7 +711,10 @@ def why_not_free(grid: Bytes, cell: Cell) -> str:
 def values_complaint(grid: Array) -> str:
     """Return the error message for a grid that holds other numbers than 0 and 1."""
     first_bad_number = grid[(grid != 0) & (grid != 1)][0]
-    return f"grid: got the value {first_bad_number}, expected 0 free and 1 occupied only"
+    return (
+        f"grid: got the value {first_bad_number}, expected 0 free and 1 occupied only"
+        f"{hint_on_values(grid)}"
+    )
 
 
 def high_cost_complaint(doubled_cost: int) -> str:

@@ -86,6 +86,8 @@ def seed_points() -> dict[str, dict[str, bytes]]:
         "tiff": {"a.tif": saved("tiff")},
         "gif": {"a.gif": saved("gif")},
         "maze-hard": {"train.csv": b"source,question,answer,rating\nx,S  G,So G,2\n"},
+        "text table": {"a.csv": b"1,1,1\n1,0,0\n\n0,1\n0,0\n"},
+        "text maze": {"a.txt": b"####\n#S.#\n# G#\n####\n"},
         "pgm": {"a.pgm": pgm},
         "P2": {"a.pgm": b"P2\n4 3\n255\n" + b" ".join(b"%d" % v for v in (255 * GRID).ravel())},
         "npy": {"a.npy": saved("npy")},
@@ -104,6 +106,8 @@ FORMATS = {
     "scen": "movingai",
     "csv": "paper",
     "maze-hard": "maze-hard",
+    "text table": "text",
+    "text maze": "text",
     "warcraft": "warcraft",
     "warcraft paths": "warcraft",
     "tilebased": "tilebased",
@@ -171,7 +175,19 @@ def test_a_changed_file_is_read_or_refused(
 def test_a_file_of_any_bytes_is_read_or_refused(data: bytes) -> None:
     """The file has any bytes and any ending, and its format is recognised or named."""
     with tempfile.TemporaryDirectory() as name:
-        for ending in ("png", "jpg", "bmp", "pgm", "npy", "npz", "yaml", "map", "scen", "csv"):
+        for ending in (
+            "png",
+            "jpg",
+            "bmp",
+            "pgm",
+            "npy",
+            "npz",
+            "yaml",
+            "map",
+            "scen",
+            "csv",
+            "txt",
+        ):
             path = Path(name) / f"a.{ending}"
             path.write_bytes(data)
             attempt(lambda path=path: read_any(path, limits=LIMITS))  # type: ignore[misc]

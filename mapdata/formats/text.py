@@ -1,0 +1,273 @@
+"""Plain text as maps: tables of 0 and 1, and mazes of letters.
+
+A file of either kind holds one map, or several with empty lines between them.
+
+- The rows of a table are numbers with commas, semicolons, tabs or spaces between them, as
+  spreadsheets and `numpy.savetxt` write them, or digits 0 and 1 alone.
+- The rows of a maze are letters: "#" and "@" are occupied, "." and " " free, "S" is the start and
+  "G" the goal.
+"""
+
+from __future__ import annotations
+
+import codecs
+import re
+from pathlib import Path
+
+import numpy as np
+
+from mapdata.arrays import Array, Bytes, Ints
+from mapdata.formats.collection import Collection, ForeignMap
+from mapdata.formats.files import (
+    LIMITS,
+    Limits,
+    check_pixels,
+    files_with_endings,
+    read_text,
+    split_from_folders,
+    to_occupancy,
+)
+from mapdata.formats.images import note_free_cells
+from mapdata.formats.registry import Format
+from mapdata.npy import FormatError, refusing
+
+ENDINGS = (".txt", ".csv")
+
+OCCUPIED = "#@"
+"""The letters of occupied cells by default."""
+
+FREE = ". "
+"""The letters of free cells by default."""
+
+_START, _GOAL = "S", "G"
+"""The letters of start and goal, which are free cells."""
+
+_DIGITS = re.compile(r"[01]+")
+"""A row of a table without anything between its numbers."""
+
+_NUMBERS = re.compile(r"[-+.0-9eE,;\t naifNAIF]+")
+"""What the numbers and separators of a row consist of."""
+
+_DIGIT = re.compile("[0-9]")
+
+_FIELD = re.compile(r"[^,;\s]+")
+"""A number of a row."""
+
+_SNIFFED = 2**20
+"""Number of bytes by which a file is recognised; two rows of 4096 numbers in full have 205 KB."""
+
+
+def is_text_map(path: Path) -> bool:
+    """Return whether a file begins with two rows of a map, of equal length.
+
+    These are rows of letters that cells have by default, or of at least two numbers that are whole
+    and from -1 to 255, or infinite. So tables of other numbers beside maps, such as poses, are not
+    taken for maps.
+    """
+    with path.open("rb") as file:
+        start = file.read(_SNIFFED)
+    text = start.removeprefix(codecs.BOM_UTF8).decode("latin-1").replace("\r\n", "\n")
+    rows = [line for line in text.split("\n", 1000) if line][:2]
+    if len(rows) < 2:
+        return False
+    first, second = rows
+    if _is_row_of_table(first):
+        try:
+            numbers = _table("", rows)
+        except FormatError:
+            return False
+        is_whole = (numbers == np.floor(numbers)) & (numbers >= -1) & (numbers <= 255)
+        return bool((is_whole | (numbers == np.inf)).all()) and numbers.shape[1] > 1
+    letters = set(OCCUPIED + FREE + _START + _GOAL)
+    return len(first) == len(second) > 1 and letters.issuperset(first + second)
+
+
+def read(
+    source: Path,
+    limits: Limits = LIMITS,
+    *,
+    occupied: str = OCCUPIED,
+    free: str = FREE,
+    invert: bool = False,
+) -> Collection:
+    """Read a table of 0 and 1 or a maze of letters, or all below a folder.
+
+    The start S and the goal G of a maze become the seed points of the map.
+
+    Args:
+        source: file or folder.
+        limits: of what is read.
+        occupied: letters of occupied cells of a maze.
+        free: letters of free cells of a maze, besides S and G.
+        invert: exchange free and occupied cells.
+
+    Raises:
+        FormatError: nothing there. A bad file among others is left out, with the reason.
+        ValueError: a letter in both options, or none in one of them.
+    """
+    free_letters = free + _START + _GOAL
+    if not occupied or not free or set(occupied) & set(free_letters):
+        raise ValueError(
+            f"occupied, free: got {occupied!r} and {free!r}, expected different letters in each, "
+            f"and neither {_START} nor {_GOAL} among the occupied ones"
+        )
+    collection = Collection()
+    for path in files_with_endings(source, ENDINGS, limits, collection):
+        with collection.leaving_out(path):
+            blocks = _blocks(path, read_text(path, limits), limits)
+            split = split_from_folders(path, source)
+            # All are parsed before any is used, so that a damaged file gives no map.
+            collection.maps += [
+                _parsed(name, lines, split, occupied, free, invert) for name, lines in blocks
+            ]
+    free_cells = f"0, and the letters {free_letters!r},"
+    if invert:
+        free_cells = f"1, and the letters {occupied!r},"
+    note_free_cells(collection, free_cells, "--text.invert")
+    return collection
+
+
+def _blocks(path: Path, text: str, limits: Limits) -> list[tuple[str, list[str]]]:
+    """Return the name and the lines of each map in a file.
+
+    Raises:
+        FormatError: no map; more maps, or more cells in one, than the limits allow.
+    """
+    # A line of spaces is a row of free cells, so only an empty line ends a map.
+    texts = re.split(r"\n{2,}", text.strip("\n"), maxsplit=limits.maps)
+    if texts == [""]:
+        raise FormatError(f"{path}: holds no map")
+    if len(texts) > limits.maps:
+        raise FormatError(f"{path}: holds more maps than expected, which are at most {limits.maps}")
+    blocks = []
+    for number, block in enumerate(texts):
+        name = f"{path}[{number}]" if len(texts) > 1 else str(path)
+        # The cells are counted before the text is divided, which takes many times its memory.
+        first, *_ = block.split("\n", 1)
+        columns = len(first)
+        if _is_row_of_table(first) and not _DIGITS.fullmatch(first):
+            columns = sum(1 for _ in _FIELD.finditer(first))
+        check_pixels(name, block.count("\n") + 1, columns, limits)
+        blocks.append((name, block.split("\n")))
+    return blocks
+
+
+def _is_row_of_table(line: str) -> bool:
+    """Return whether a line is a row of numbers, and not of the letters of a maze."""
+    return bool(_NUMBERS.fullmatch(line) and _DIGIT.search(line))
+
+
+def _parsed(
+    name: str, lines: list[str], split: int | None, occupied: str, free: str, invert: bool
+) -> ForeignMap:
+    """Return the map of some lines.
+
+    Args:
+        name: of the map.
+        lines: its rows.
+        split: code of its split; None to draw it.
+        occupied: letters of occupied cells.
+        free: letters of free cells.
+        invert: exchange free and occupied cells.
+
+    Raises:
+        FormatError: the lines are neither a table of 0 and 1 nor a maze.
+    """
+    seed_points: Ints = np.empty((0, 2), np.int64)
+    if _is_row_of_table(lines[0]):
+        grid = to_occupancy(_table(name, lines), name)
+    else:
+        letters = _letters(name, lines)
+        seed_points = _start_and_goal(name, letters)
+        grid = _grid_of_letters(name, letters, occupied, free)
+    if invert:
+        grid = 1 - grid
+        grid[tuple(seed_points.T)] = 0
+    return ForeignMap(name, grid, split, seed_points=seed_points, rooms_known=len(seed_points) == 2)
+
+
+def _fields(line: str, max_count: int = -1) -> list[str]:
+    """Return the numbers of a row as texts; between two commas in a row is an empty text.
+
+    If there are more than ``max_count``, the last text holds all others.
+    """
+    for separator in (",", ";"):
+        if separator in line:
+            return line.rstrip(" \t").removesuffix(separator).split(separator, max_count)
+    return line.split(None, max_count)
+
+
+def _table(name: str, lines: list[str]) -> Array:
+    """Return the numbers of a table, (H, W) float64.
+
+    Args:
+        name: of the map, for errors.
+        lines: its rows.
+
+    Raises:
+        FormatError: rows of several lengths, or what is not a number.
+    """
+    are_digits = all(_DIGITS.fullmatch(line) for line in lines)
+    columns = len(lines[0]) if are_digits else len(_fields(lines[0]))
+    numbers = np.empty((len(lines), columns))
+    for row, line in enumerate(lines):
+        fields = list(line) if are_digits else _fields(line, columns)
+        if len(fields) != columns:
+            count = f"more than {columns}" if len(fields) > columns else len(fields)
+            raise FormatError(
+                f"{name}: row {row} has {count} numbers, expected {columns} as in row 0"
+            )
+        with refusing(f"{name}: row {row} is no row of numbers, without header and index"):
+            numbers[row] = fields
+    return numbers
+
+
+def _letters(name: str, lines: list[str]) -> Array:
+    """Return the letters of a maze, (H, W) of texts of one letter.
+
+    Raises:
+        FormatError: rows of several lengths.
+    """
+    columns = len(lines[0])
+    for row, line in enumerate(lines):
+        if len(line) != columns:
+            raise FormatError(
+                f"{name}: row {row} has {len(line)} letters, expected {columns} as in row 0 "
+                "(many editors remove spaces at the end of a line)"
+            )
+    # numpy stores a text as letters of a fixed size, which a view makes cells.
+    return np.array(lines).view("U1").reshape(len(lines), columns)
+
+
+def _start_and_goal(name: str, letters: Array) -> Ints:
+    """Return start and goal of a maze, (2, 2), or as many of them as it has.
+
+    Raises:
+        FormatError: several starts or goals.
+    """
+    cells = [np.argwhere(letters == letter) for letter in (_START, _GOAL)]
+    for letter, found in zip((_START, _GOAL), cells, strict=True):
+        if len(found) > 1:
+            raise FormatError(f"{name}: has {len(found)} letters {letter}, expected at most one")
+    return np.concatenate(cells)
+
+
+def _grid_of_letters(name: str, letters: Array, occupied: str, free: str) -> Bytes:
+    """Return a maze as a grid, (H, W) uint8, 0 free and 1 occupied.
+
+    Raises:
+        FormatError: a letter that is neither.
+    """
+    is_occupied = np.isin(letters, list(occupied))
+    is_known = is_occupied | np.isin(letters, [*free, _START, _GOAL])
+    if not is_known.all():
+        row, column = np.argwhere(~is_known)[0].tolist()
+        raise FormatError(
+            f"{name}: cell {row, column} is {str(letters[row, column])!r}, expected occupied "
+            f"{occupied!r} or free {free + _START + _GOAL!r}; --text.occupied and --text.free "
+            "name other letters"
+        )
+    return is_occupied.view(np.uint8)
+
+
+FORMAT = Format("text", ENDINGS, read, recognises=is_text_map)

@@ -1,0 +1,170 @@
+"""Tables and mazes as plain text: what numpy writes and people type, and what is refused."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.wild import Bytes, cli
+from PIL import Image
+
+from mapdata import MapDataset, read_shard
+from mapdata.formats import FormatError, Limits, read_any, recognise
+from mapdata.formats.text import read
+
+GRID: Bytes = np.array([[1, 1, 1, 1], [1, 0, 0, 1], [1, 0, 1, 1]], np.uint8)
+MAZE = "#######\n#S    #\n# ### #\n#    G#\n#######\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "how"),
+    [
+        ("a.csv", {"fmt": "%d", "delimiter": ","}),
+        ("a.csv", {"fmt": "%d", "delimiter": ";", "newline": "\r\n"}),
+        ("a.csv", {"delimiter": ", "}),
+        ("a.txt", {"fmt": "%d"}),
+        ("a.txt", {"fmt": "%3d"}),
+        ("a.TXT", {"fmt": "%.1f", "delimiter": "\t"}),
+        ("a.txt", {}),
+        ("a.txt", {"fmt": "%d", "delimiter": ""}),
+    ],
+)
+def test_tables_that_numpy_writes_are_read(name: str, how: dict[str, str], tmp_path: Path) -> None:
+    """They have any separator, digits and line ends."""
+    np.savetxt(tmp_path / name, GRID, **how)
+    collection = read_any(tmp_path / name)
+    assert (collection.format, collection.maps[0].grid.tolist()) == ("text", GRID.tolist())
+    assert collection.notes[0] == "0, and the letters '. SG', were taken for free: 25.0% of a map"
+    assert recognise(tmp_path) == "text"
+
+
+def test_other_tables(tmp_path: Path) -> None:
+    """A comma may end the rows, and a byte order mark begin the file, as spreadsheets do."""
+    path = tmp_path / "a.csv"
+    path.write_text("1,1,\n0,1,\n", encoding="utf-8-sig")
+    assert read_any(path).maps[0].grid.tolist() == [[1, 1], [0, 1]]
+    assert read_any(path, invert=True).maps[0].grid.tolist() == [[0, 0], [1, 0]]
+    path.write_text("true")
+    assert "cell (0, 0) is 't'" in read(path).left_out[0][1]
+
+
+def test_a_maze_has_start_and_goal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """They become the only seed points of the map, so that its route leads from S to G."""
+    path = tmp_path / "maze.txt"
+    path.write_text(MAZE)
+    (foreign_map,) = read_any(path).maps
+    assert foreign_map.seed_points.tolist() == [[1, 1], [3, 5]]
+    assert foreign_map.grid.tolist() == [
+        [int(letter == "#") for letter in line] for line in MAZE.splitlines()
+    ]
+    assert cli(capsys, "import", path, tmp_path / "out")[0] == 0
+    sample = MapDataset(tmp_path / "out", None, ("start", "goal", "cost"))[0]
+    assert (sample.start.tolist(), sample.goal.tolist()) == ([1, 1], [3, 5])
+    assert sample.cost == 6
+
+
+def test_letters_can_be_named(tmp_path: Path) -> None:
+    """A micromouse maze has posts and walls of other letters, which the error names."""
+    path = tmp_path / "mouse.txt"
+    path.write_text("o---o---o\n|G  |   |\no   o   o\n|      S|\no---o---o\n")
+    with pytest.raises(FormatError, match=r"mouse.txt has the ending of text: --format text says"):
+        read_any(path)
+    with pytest.raises(
+        FormatError,
+        match=r"cell \(0, 0\) is 'o', expected occupied '#@' or free '. SG'; --text.occupied and",
+    ):
+        read_any(path, "text")
+    (foreign_map,) = read_any(path, "text", occupied="o-|").maps
+    assert foreign_map.grid.sum() == 2 * 9 + 3 * 2 + 2  # two rows, the outer walls, one wall
+    assert foreign_map.seed_points.tolist() == [[3, 7], [1, 1]]
+    inverted = read_any(path, "text", occupied=" ", free="o-|", invert=True).maps[0]
+    assert np.array_equal(inverted.grid, foreign_map.grid)
+    for options in ({"occupied": ""}, {"free": "#"}, {"occupied": "#S"}):
+        with pytest.raises(ValueError, match="occupied, free: got"):
+            read(path, **options)
+
+
+def test_a_file_may_hold_several_maps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Empty lines are between them, and a line of spaces is a row of free cells."""
+    (tmp_path / "train").mkdir()
+    path = tmp_path / "train" / "mazes.txt"
+    path.write_text(".#\n  \n\n\n##\n..\n\n")
+    first, second = read_any(tmp_path).maps
+    assert (first.grid.tolist(), second.grid.tolist()) == ([[0, 1], [0, 0]], [[1, 1], [0, 0]])
+    assert (second.name, second.split) == (f"{path}[1]", 0)
+    assert cli(capsys, "import", tmp_path, tmp_path / "out")[0] == 0
+    shard = next((tmp_path / "out").glob("*.h5"))
+    assert read_shard(shard).maps.occupancy.tolist() == [first.grid.tolist(), second.grid.tolist()]
+    assert (
+        "holds more maps than expected, which are at most 1"
+        in read(path, Limits(maps=1)).left_out[0][1]
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "holds no map"),
+        ("\n\n", "holds no map"),
+        ("0,1\n1\n", "row 1 has 1 numbers, expected 2 as in row 0"),
+        ("0 1\n" + 9 * "1 ", "row 1 has more than 2 numbers, expected 2 as in row 0"),
+        ("0,1\n1,\n1,,\n", "row 1 has 1 numbers, expected 2"),
+        (",0,1\n0,1,1\n", "row 0 is no row of numbers, without header and index (ValueError"),
+        ("-1 0\n0 100\n", "from -1.0 to 100.0, expected 0 to 1; it looks like an OccupancyGrid"),
+        ("0.5 0.1\n0 1\n", "holds values between 0 and 1, expected only 0 and 1; it looks like p"),
+        ("1 nan\n0 1\n", "holds values from nan to nan, expected 0 to 1; it looks like cells with"),
+        ("##\n#\n", "row 1 has 1 letters, expected 2 as in row 0 (many editors remove spaces"),
+        ("#SS\n...\n", "has 2 letters S, expected at most one"),
+        ("#\0#\n", "not a text file"),
+        ("0 " * 9 + "\n", "has 1 x 9 pixels, expected at most 8 in all; --max-pixels sets"),
+        ("#" * 9 + "\n", "has 1 x 9 pixels, expected at most 8 in all"),
+        ("1" * 9 + "\n", "has 1 x 9 pixels, expected at most 8 in all"),
+        (".\n" * 9, "has 9 x 1 pixels, expected at most 8 in all"),
+    ],
+)
+def test_what_is_no_map_is_left_out_with_the_reason(text: str, reason: str, tmp_path: Path) -> None:
+    """The reason is one line."""
+    (tmp_path / "a.txt").write_text(text)
+    collection = read(tmp_path, Limits(pixels=8))
+    assert collection.maps == []
+    ((_, said),) = collection.left_out
+    assert reason in said
+    assert "\n" not in said
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("README.txt", "Floor plans of two houses.\nDark is occupied.\n"),
+        ("notes.txt", "plan A\nplan B\n"),
+        ("poses.txt", "0.5 1.25 3.0\n0.75 1.5 3.1\n"),
+        ("labels.csv", "0\n1\n1\n"),
+        ("table.csv", "name,rows\na,4\n"),
+        ("ids.csv", "1000,1\n1001,0\n"),
+        ("one.txt", "##\n"),
+        ("binary.csv", "\x80\x81\n\x80\x81\n"),
+    ],
+)
+def test_other_texts_beside_pictures_are_not_maps(name: str, text: str, tmp_path: Path) -> None:
+    """A folder of pictures stays one."""
+    Image.fromarray(255 * (1 - GRID)).save(tmp_path / "plan.png")
+    (tmp_path / name).write_text(text, encoding="latin-1")
+    assert recognise(tmp_path) == "images"
+    with pytest.raises(FormatError, match=re.escape(f"; {name} has the ending of text")):
+        read_any(tmp_path / name)
+
+
+def test_an_ending_that_no_format_reads_is_named(tmp_path: Path) -> None:
+    """The error lists endings instead of formats, none of which has this one."""
+    for source in (tmp_path / "map.mat", tmp_path):
+        (tmp_path / "map.mat").write_text("x")
+        with pytest.raises(FormatError, match=r"known format; expected files that end with .bmp,"):
+            read_any(source)
+
+
+def test_a_wide_table_is_recognised(tmp_path: Path) -> None:
+    """Two rows of 4096 numbers have 200 KB as numpy writes them."""
+    np.savetxt(tmp_path / "a.txt", np.zeros((2, 4096)))
+    assert recognise(tmp_path / "a.txt") == "text"
