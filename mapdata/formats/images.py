@@ -7,6 +7,9 @@ memory.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -21,26 +24,49 @@ from mapdata.formats.files import (
     LIMITS,
     Limits,
     check_grids,
+    check_pixels,
     files_with_endings,
+    percent,
     read_bytes,
     read_grids,
     split_from_folders,
 )
 from mapdata.formats.registry import Format
+from mapdata.formats.shrinking import FreeSpace, any_occupied
 from mapdata.limits import Size
 from mapdata.npy import FormatError, Npz, StoredArray, open_npy, refusing
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp", ".tif", ".tiff", ".gif")
 ARRAYS = (".npy", ".npz")
 
-_UNKNOWN = 205
+UNKNOWN = 205
 """The grey that map_saver of ROS writes for unknown cells."""
 
 _FREE = 254
 """The grey that map_saver of ROS writes for free cells."""
 
+_MIN_FREE = 250
+"""The darkest grey that counts as that of free cells in a picture of map_saver."""
+
+_MIN_SHARE = 0.01
+"""Share of the pixels from which on a grey is one of the main greys of a picture."""
+
 _PHOTOMETRIC = 262
 """The TIFF tag of the meaning of pixel values. If it is 0, a pixel of 0 is white."""
+
+_ORIENTATION = 274
+"""The tag of EXIF that says how a camera was held."""
+
+_TURNS = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT,
+    3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE,
+    6: Image.Transpose.ROTATE_270,
+    7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_90,
+}
+"""What brings a picture upright, by its orientation of EXIF; 1 is upright."""
 
 
 class Pixels(NamedTuple):
@@ -55,11 +81,17 @@ class Pixels(NamedTuple):
     maximum: int
 
 
-def read_pixels(path: Path, limits: Limits = LIMITS) -> Pixels:
+def read_pixels(path: Path, limits: Limits = LIMITS, *, upright: bool = False) -> Pixels:
     """Return the pixels of the first picture in a PNG, JPEG, BMP, PGM, WebP, TIFF or GIF file.
 
     Pillow scales a PGM whose maximum is neither 255 nor 65535 to one of these, and takes values
     above the maximum for white.
+
+    Args:
+        path: of the file.
+        limits: of its bytes and pixels.
+        upright: turn a photo as its orientation of EXIF says, as viewers do. The map servers of ROS
+            do not.
 
     Raises:
         FormatError: missing, no such picture, damaged, or more than ``limits.pixels`` pixels.
@@ -81,13 +113,18 @@ def read_pixels(path: Path, limits: Limits = LIMITS) -> Pixels:
                 ) from None
         with image:
             columns, rows = image.size
-            if not 1 <= rows * columns <= limits.pixels:
-                raise FormatError(
-                    f"{path}: has {rows} x {columns} pixels, "
-                    f"expected at most {limits.pixels} in all"
-                )
+            check_pixels(str(path), rows, columns, limits)
             image.load()
-            return _decoded(image)
+            return _decoded(_upright(image) if upright else image)
+
+
+def _upright(image: Image.Image) -> Image.Image:
+    """Return a loaded picture, turned as its orientation of EXIF says."""
+    orientation = None
+    with suppress(Exception):  # damaged EXIF, which does not damage the picture
+        orientation = image.getexif().get(_ORIENTATION)
+    turn = _TURNS.get(orientation) if isinstance(orientation, int) else None
+    return image if turn is None else image.transpose(turn)
 
 
 def _decoded(image: Image.Image) -> Pixels:
@@ -154,6 +191,8 @@ def read(
     unknown: Literal["occupied", "free"] | None = None,
     size: Size | None = None,
     fit: Literal["resize", "crop"] | None = None,
+    resample: Literal["any", "mean"] | None = None,
+    array: str | None = None,
 ) -> Collection:
     """Read a folder of pictures, one picture, or a stack of grids in an .npy or .npz file.
 
@@ -170,8 +209,11 @@ def read(
         unknown: state of unknown cells (grey 205) in a robot's map without its .yaml file; without
             this option, such pictures are left out.
         size: (rows, columns) of the maps; pictures of other sizes are resized or cropped.
-        fit: how maps get this size: resize scales them (a cell gets the mean brightness of its
-            pixels), crop takes their middle (default: resize).
+        fit: how maps get this size: resize scales them, crop takes their middle (default: resize).
+        resample: rule for a cell of a resized map: it is occupied if any part of its area is
+            occupied (any), or by the mean brightness of its pixels, in arrays if half of its area
+            is occupied (mean) (default: any).
+        array: name of the array in .npz files (default: the only one that can hold maps).
 
     Raises:
         FormatError: nothing there. A bad file among others is left out, with the reason.
@@ -182,21 +224,29 @@ def read(
         check_sides("size", size)
     elif fit is not None:
         raise ValueError("fit: does nothing without size")
+    if resample is not None and (size is None or fit == "crop"):
+        raise ValueError("resample: does nothing without size and resizing")
     collection = Collection()
     unknown_shares = []
+    free_space = FreeSpace()
+    has_archive = False
     for path in files_with_endings(source, (*PICTURES, *ARRAYS), limits, collection):
+        has_archive |= path.suffix.lower() == ".npz"
         with collection.leaving_out(path):
             split = split_from_folders(path, source)
             if path.suffix.lower() in ARRAYS:
-                array = _open_stack(path, limits)
-                check_grids(array, limits, threshold)
-                is_stack = len(array.shape) > 2 and len(array) > 1
-                for number, grid in enumerate(read_grids(array, threshold)):
+                stored = _open_stack(path, limits, array)
+                check_grids(stored, limits, threshold)
+                is_stack = len(stored.shape) > 2 and len(stored) > 1
+                for number, grid in enumerate(read_grids(stored, threshold)):
                     name = f"{path}[{number}]" if is_stack else str(path)
-                    sized = _sized_grid(grid, invert, size, fit)
+                    cells = 1 - grid if invert else grid
+                    sized = _sized(
+                        cells, partial(_mean_of_cells, cells), size, fit, resample, free_space
+                    )
                     collection.maps.append(ForeignMap(name, sized, split))
             else:
-                grey = brightness(read_pixels(path, limits))
+                grey = brightness(read_pixels(path, limits, upright=True))
                 is_unknown = _unknown_pixels(grey)
                 _check_picture(path, grey, is_unknown, threshold, unknown)
                 if unknown is not None:
@@ -204,15 +254,20 @@ def read(
                     # they cover by half counts as half unknown.
                     is_white = (unknown == "free") != invert
                     grey[is_unknown] = 255 if is_white else 0
-                grid = _grid_of_picture(grey, threshold, invert, size, fit)
+                cells = _cells_of_picture(grey, threshold, invert)
+                mean = partial(_mean_of_picture, grey, threshold, invert)
+                sized = _sized(cells, mean, size, fit, resample, free_space)
                 unknown_shares.append(is_unknown.mean())
-                collection.maps.append(ForeignMap(str(path), grid, split))
+                collection.maps.append(ForeignMap(str(path), sized, split))
+    if array is not None and not has_archive:
+        raise ValueError("array: does nothing without an .npz file")
+    if size is not None:
+        collection.notes += free_space.notes(*_size_note(size, fit, resample))
     free_cells = "dark pixels (1 in arrays)" if invert else "bright pixels (0 in arrays)"
     note_free_cells(collection, free_cells, "--images.invert")
     if unknown is not None and any(unknown_shares):
-        collection.notes.append(
-            f"{np.mean(unknown_shares):.1%} of the cells were unknown and are now {unknown}"
-        )
+        share = percent(float(np.mean(unknown_shares)))
+        collection.notes.append(f"{share} of the cells were unknown and are now {unknown}")
     return collection
 
 
@@ -238,31 +293,124 @@ def _check_picture(
             f"{path}: its brightest pixel is {brightest} of 255, nothing is above "
             f"--images.threshold {threshold}"
         )
-    if unknown is None and is_unknown.any() and threshold * 255 < _UNKNOWN:
+    if unknown is None and is_unknown.any() and threshold * 255 < UNKNOWN:
         raise FormatError(f"{path}: {_unknown_advice(path, is_unknown)}")
 
 
-def _grid_of_picture(
-    grey: Bytes, threshold: float, invert: bool, size: Size | None, fit: str | None
-) -> Bytes:
-    """Return a picture, (H, W) brightness, as a grid of ``size``, 0 free and 1 occupied."""
-    # A cell that is half occupied must become occupied, and scaling rounds its mean of 127.5 up.
-    # So the picture is scaled with bright occupied cells: inverted if dark pixels are occupied.
-    scaled = _fit(grey, size, fit) if invert else 255 - _fit(255 - grey, size, fit)
-    is_dark = scaled <= threshold * 255
+def _cells_of_picture(grey: Bytes, threshold: float, invert: bool) -> Bytes:
+    """Return a picture, (H, W) brightness, as a grid, 0 free and 1 occupied."""
+    is_dark = grey <= threshold * 255
     return np.asarray(is_dark != invert, np.uint8)
 
 
-def _unknown_pixels(grey: Bytes) -> Flags:
-    """Return which pixels, (H, W), are unknown cells of a robot's map.
+def _mean_of_picture(grey: Bytes, threshold: float, invert: bool, size: Size) -> Bytes:
+    """Return a picture as a grid of ``size``: a cell has the mean brightness of its pixels."""
+    # A cell that is half occupied must become occupied, and scaling rounds its mean of 127.5 up.
+    # So the picture is scaled with bright occupied cells: inverted if dark pixels are occupied.
+    scaled = _scaled(grey, size) if invert else 255 - _scaled(255 - grey, size)
+    return _cells_of_picture(scaled, threshold, invert)
 
-    ROS's map_saver writes 0 for occupied, 205 for unknown and 254 for free cells. In a floor plan,
-    205 is one of many greys at the edges of lines. So pixels of 205 count as unknown only if they
-    are more than half of all pixels between black and the grey of free cells.
+
+def _mean_of_cells(cells: Bytes, size: Size) -> Bytes:
+    """Return a grid in ``size``: a cell is occupied if at least half of what it covers is."""
+    return _scaled(255 * cells, size) // 128
+
+
+def _scaled(values: Bytes, size: Size) -> Bytes:
+    """Return ``values``, (H, W), in ``size``: a new one is the mean of the area that it covers."""
+    rows, columns = size
+    return np.asarray(Image.fromarray(values).resize((columns, rows), Image.Resampling.BOX))
+
+
+def _sized(
+    cells: Bytes,
+    mean: Callable[[Size], Bytes],
+    size: Size | None,
+    fit: str | None,
+    resample: str | None,
+    free_space: FreeSpace,
+) -> Bytes:
+    """Return a grid in the size that the user asks for.
+
+    Args:
+        cells: (H, W) uint8, 0 free and 1 occupied.
+        mean: returns the grid of a size whose cells are means.
+        size: (rows, columns); None leaves the grid as it is.
+        fit: "crop", or else the grid is scaled.
+        resample: "mean", or else a cell is occupied if any part of it is.
+        free_space: counts the free cells before and after.
+
+    Raises:
+        FormatError: the grid is too small to be cropped.
     """
-    is_unknown: Flags = grey == _UNKNOWN
-    between = np.count_nonzero((grey > 0) & (grey < _FREE))
-    if 2 * np.count_nonzero(is_unknown) <= between:
+    if size is None or size == cells.shape:
+        return cells
+    cell_area = 1.0
+    if fit == "crop":
+        sized = _middle(cells, size)
+    else:
+        sized = mean(size) if resample == "mean" else any_occupied(cells, size)
+        cell_area = cells.size / sized.size
+    free_space.add(cells, [sized], cell_area)
+    return sized
+
+
+def _middle(cells: Bytes, size: Size) -> Bytes:
+    """Return the middle of a grid.
+
+    Raises:
+        FormatError: the grid is too small.
+    """
+    rows, columns = size
+    height, width = cells.shape
+    if height < rows or width < columns:
+        raise FormatError(f"has {height} x {width} cells, too small to crop {rows} x {columns}")
+    top = (height - rows) // 2
+    left = (width - columns) // 2
+    return cells[top : top + rows, left : left + columns]
+
+
+def _size_note(size: Size, fit: str | None, resample: str | None) -> tuple[str, str]:
+    """Return what was done to maps of other sizes, and what to do if that loses free cells."""
+    rows, columns = size
+    if fit == "crop":
+        return f"cropped to {rows} x {columns} cells", "crop less, or resize (--images.fit)"
+    if resample == "mean":
+        return f"resized to {rows} x {columns} cells by their mean", "shrink less"
+    return (
+        f"resized to {rows} x {columns} cells, occupied if any part is",
+        "shrink less, or use mean (--images.resample)",
+    )
+
+
+def _unknown_pixels(grey: Bytes) -> Flags:
+    """Return which pixels, (H, W), are unknown cells of a robot's map without its .yaml.
+
+    That are those of `unknown_of_map_saver`. A map with few unknown cells has none of these. The
+    thresholds of map_saver make 205 unknown there, too; but in a floor plan, 205 is one of many
+    greys at the edges of lines. So these pixels of 205 count as unknown only if they are more than
+    half of all pixels between black and the grey of free cells.
+    """
+    is_unknown = unknown_of_map_saver(grey)
+    if not is_unknown.any():
+        is_unknown = grey == UNKNOWN
+        between = np.count_nonzero((grey > 0) & (grey < _FREE))
+        if 2 * np.count_nonzero(is_unknown) <= between:
+            is_unknown[:] = False
+    return is_unknown
+
+
+def unknown_of_map_saver(grey: Bytes) -> Flags:
+    """Return which pixels, (H, W), are unknown cells if this is a picture of ROS's map_saver.
+
+    In its mode trinary it writes 0 for occupied, 205 for unknown and 254 for free cells. So if 205
+    and a grey of at least 250 each fill at least 1 % of the picture, 205 is unknown. No pixel is
+    unknown otherwise.
+    """
+    is_unknown: Flags = grey == UNKNOWN
+    min_count = _MIN_SHARE * grey.size
+    free_count = np.count_nonzero(grey >= _MIN_FREE)
+    if np.count_nonzero(is_unknown) < min_count or free_count < min_count:
         is_unknown[:] = False
     return is_unknown
 
@@ -272,14 +420,15 @@ def _unknown_advice(path: Path, is_unknown: Flags) -> str:
     candidates = [path.with_suffix(".yaml"), path.with_suffix(".yml")]
     existing = [str(candidate) for candidate in candidates if candidate.is_file()]
     yaml_name = existing[0] if existing else "its .yaml"
+    share = percent(float(is_unknown.mean()))
     return (
-        f"{is_unknown.mean():.1%} of its pixels are of grey {_UNKNOWN}, which robots' maps have "
+        f"{share} of its pixels are of grey {UNKNOWN}, which robots' maps have "
         f"where nothing is known: import {yaml_name}, or say "
         "--images.unknown occupied or --images.unknown free"
     )
 
 
-def note_free_cells(collection: Collection, free_cells: str, option: str) -> None:
+def note_free_cells(collection: Collection, free_cells: str, option: str | None) -> None:
     """Add notes on which cells were taken for free, how many, and whether that seems wrong.
 
     The border of most maps is mostly occupied. If the border of most maps here is free, free and
@@ -289,7 +438,8 @@ def note_free_cells(collection: Collection, free_cells: str, option: str) -> Non
     Args:
         collection: the maps that were read; its notes are extended.
         free_cells: how the source shows free cells, for the notes.
-        option: the option that swaps free and occupied, for the notes.
+        option: the option that swaps free and occupied, for the notes; None if the source itself
+            says which cells are free, so that a free border is no reason to doubt.
     """
     free_shares = []
     inverted = []
@@ -302,59 +452,37 @@ def note_free_cells(collection: Collection, free_cells: str, option: str) -> Non
             inverted.append(foreign_map.name)
     if free_shares:
         collection.notes.append(
-            f"{free_cells} were taken for free: {np.mean(free_shares):.1%} of a map"
+            f"{free_cells} were taken for free: {percent(float(np.mean(free_shares)))} of a map"
         )
-    if 2 * len(inverted) > len(free_shares):
+    if option is not None and 2 * len(inverted) > len(free_shares):
         collection.notes.append(
             f"the border of {len(inverted)} of {len(free_shares)} maps is mostly free "
             f"({inverted[0]}), as if free and occupied were mixed up: {option} reads them otherwise"
         )
 
 
-def _open_stack(path: Path, limits: Limits) -> StoredArray:
-    """Return the array of an .npy, or the only array of an .npz that can hold maps, unread.
+def _open_stack(path: Path, limits: Limits, name: str | None) -> StoredArray:
+    """Return the array of an .npy, or one array of an .npz, unread.
+
+    Args:
+        path: the file.
+        limits: of what is read.
+        name: of the array of an .npz; None for the only one that can hold maps.
 
     Raises:
-        FormatError: several arrays can hold maps, or none.
+        FormatError: no such array; without a name, several arrays can hold maps, or none.
     """
     if path.suffix.lower() == ".npy":
         return open_npy(path)
     archive = Npz(path, limits.unpacked)
-    names = [name for name, shape in archive.shapes.items() if len(shape) in (2, 3, 4)]
-    if len(names) != 1:
-        raise FormatError(
-            f"{path}: holds arrays {', '.join(archive.shapes)}, expected one of (N, H, W)"
-        )
-    return archive.arrays(names[0])[0]
-
-
-def _sized_grid(grid: Bytes, invert: bool, size: Size | None, fit: str | None) -> Bytes:
-    """Return a grid of an array in the given ``size``, with free and occupied swapped if asked."""
-    if invert:
-        grid = 1 - grid
-    if size in (None, grid.shape):
-        return grid
-    # A new cell is occupied if at least half of the area that it covers is.
-    return _fit(255 * grid, size, fit) // 128
-
-
-def _fit(grey: Bytes, size: Size | None, fit: str | None) -> Bytes:
-    """Return ``grey``, (H, W), in the given ``size``: its middle if ``fit`` is "crop", else scaled.
-
-    Raises:
-        FormatError: the picture is too small to be cropped.
-    """
-    if size is None:
-        return grey
-    rows, columns = size
-    if fit != "crop":
-        return np.asarray(Image.fromarray(grey).resize((columns, rows), Image.Resampling.BOX))
-    height, width = grey.shape
-    if height < rows or width < columns:
-        raise FormatError(f"has {height} x {width} cells, too small to crop {rows} x {columns}")
-    top = (height - rows) // 2
-    left = (width - columns) // 2
-    return grey[top : top + rows, left : left + columns]
+    if name is None:
+        names = [name for name, shape in archive.shapes.items() if len(shape) in (2, 3, 4)]
+        if len(names) != 1:
+            shapes = ", ".join(f"{name} {shape}" for name, shape in archive.shapes.items())
+            advice = "; --images.array NAME says which one" if names else ""
+            raise FormatError(f"{path}: holds arrays {shapes}, expected one of (N, H, W){advice}")
+        (name,) = names
+    return archive.arrays(name)[0]
 
 
 FORMAT = Format("images", (*PICTURES, *ARRAYS), read)

@@ -21,6 +21,7 @@ from mapdata.arrays import Bytes, Ints
 from mapdata.checks import check_count, check_resolution, check_seed, check_sides
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.leaks import Separated, separate
+from mapdata.formats.shrinking import FreeSpace
 from mapdata.generators.maps import Maps, pack
 from mapdata.generators.points import check_seed_points, draw_points, largest_component
 from mapdata.generators.splits import draw_splits, split_thresholds
@@ -138,8 +139,9 @@ def import_maps(
     movement = movement or source.movement or Movement()
     has_terrain = _has_terrain(source)
     groups: dict[Group, list[ForeignMap]] = {}
+    free_space = FreeSpace()
     with bar(progress, len(source.maps), unit=" maps checked") as advance:
-        for foreign_map in _tiles(source, tile):
+        for foreign_map in _tiles(source, tile, free_space):
             with source.leaving_out(foreign_map.name):
                 _check_usable(foreign_map, movement)
                 metres = resolution or foreign_map.resolution or RESOLUTION
@@ -152,6 +154,9 @@ def import_maps(
             name, reason = source.left_out[0]
             message += f": {name}: {reason}"
         raise ValueError(message)
+    if tile is not None:
+        action = f"cut into tiles of {tile[0]} x {tile[1]} cells"
+        source.notes += free_space.notes(action, "another --tile drops less at the edges")
     _note_costs(groups.values(), source.notes)
     folders = _dataset_folders(root, list(groups))
     draws = Draws(seed_points, seed)
@@ -259,10 +264,11 @@ def _has_terrain(source: Collection) -> bool:
     return terrain_count > 0
 
 
-def _tiles(source: Collection, tile: Size | None) -> Iterator[ForeignMap]:
+def _tiles(source: Collection, tile: Size | None, free_space: FreeSpace) -> Iterator[ForeignMap]:
     """Yield the maps of ``source``, cut into tiles of (rows, columns) unless ``tile`` is None.
 
-    Maps that are smaller than a tile are added to ``source.left_out``.
+    Maps that are smaller than a tile are added to ``source.left_out``. The others are counted in
+    ``free_space``, before and after they are cut.
     """
     if tile is None:
         yield from source.maps
@@ -274,17 +280,23 @@ def _tiles(source: Collection, tile: Size | None) -> Iterator[ForeignMap]:
         if height < rows or width < columns:
             reason = f"{height} x {width} cells, smaller than a tile of {rows} x {columns}"
             source.left_out.append((foreign_map.name, reason))
-        for top in range(0, height - rows + 1, rows):
-            for left in range(0, width - columns + 1, columns):
-                window = np.s_[top : top + rows, left : left + columns]
-                terrain = foreign_map.terrain
-                yield ForeignMap(
-                    f"{foreign_map.name} rows {top}.. columns {left}..",
-                    grid[window],
-                    foreign_map.split,
-                    foreign_map.resolution,
-                    terrain=None if terrain is None else terrain[window],
-                )
+        corners = [
+            (top, left)
+            for top in range(0, height - rows + 1, rows)
+            for left in range(0, width - columns + 1, columns)
+        ]
+        windows = [np.s_[top : top + rows, left : left + columns] for top, left in corners]
+        if corners and (height, width) != (rows, columns):
+            free_space.add(grid, [grid[window] for window in windows])
+        for (top, left), window in zip(corners, windows, strict=True):
+            terrain = foreign_map.terrain
+            yield ForeignMap(
+                f"{foreign_map.name} rows {top}.. columns {left}..",
+                grid[window],
+                foreign_map.split,
+                foreign_map.resolution,
+                terrain=None if terrain is None else terrain[window],
+            )
 
 
 def _check_usable(foreign_map: ForeignMap, movement: Movement) -> None:

@@ -43,18 +43,28 @@ from numpy.typing import ArrayLike
 from PIL import Image
 
 from mapdata.arrays import Array, Bytes, Flags, Int8s, Ints
-from mapdata.checks import check_resolution
+from mapdata.checks import check_choice, check_resolution
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
     Limits,
     files_with_endings,
     maps_to_write,
+    percent,
     read_text,
     split_from_folders,
 )
-from mapdata.formats.images import PICTURES, Pixels, note_free_cells, read_pixels
+from mapdata.formats.images import (
+    PICTURES,
+    UNKNOWN,
+    Pixels,
+    brightness,
+    note_free_cells,
+    read_pixels,
+    unknown_of_map_saver,
+)
 from mapdata.formats.registry import Format
+from mapdata.formats.shrinking import FreeSpace
 from mapdata.npy import FormatError, refusing
 from mapdata.search.taut import to_metres
 from mapdata.shards.files import StrPath
@@ -85,7 +95,8 @@ class RosMap:
     Attributes:
         cells: (H, W) int8, 0 free, 100 occupied, 1 to 99 between, -1 unknown.
         resolution: metres per cell.
-        origin: (x, y, yaw) of the lower left corner, in metres and radians.
+        origin: (x, y, yaw) of the lower left corner, in metres and radians; old versions of
+            map_saver write a yaw of NaN.
         mode: trinary, scale or raw.
     """
 
@@ -101,7 +112,7 @@ class RosMap:
         and many at once.
 
         Raises:
-            ValueError: row or column is an array.
+            ValueError: row or column is an array, or the yaw is NaN.
         """
         if np.ndim(row) or np.ndim(column):
             raise ValueError(
@@ -109,7 +120,8 @@ class RosMap:
                 "mapdata.to_metres(cells + 0.5, rows, resolution, origin)"
             )
         middle = (row + 0.5, column + 0.5)
-        x, y = to_metres(middle, len(self.cells), self.resolution, self.origin).tolist()
+        origin = self._known_origin()
+        x, y = to_metres(middle, len(self.cells), self.resolution, origin).tolist()
         return x, y
 
     def to_cells(self, points: ArrayLike) -> Ints:
@@ -124,12 +136,12 @@ class RosMap:
             (..., 2) int64.
 
         Raises:
-            ValueError: another shape, or a point outside of the map.
+            ValueError: another shape, a point outside of the map, or a yaw of NaN.
         """
         in_metres = np.asarray(points, np.float64)
         if in_metres.shape[-1:] != (2,):
             raise ValueError(f"points: got shape {in_metres.shape}, expected (..., 2): x and y")
-        x, y, yaw = self.origin
+        x, y, yaw = self._known_origin()
         east = in_metres[..., 0] - x
         north = in_metres[..., 1] - y
         # The map is rotated about its lower left corner by yaw.
@@ -148,18 +160,78 @@ class RosMap:
             )
         return np.asarray(from_corner, np.int64)
 
+    def _known_origin(self) -> tuple[float, float, float]:
+        """Return the origin.
+
+        Raises:
+            ValueError: its yaw is NaN.
+        """
+        if math.isnan(self.origin[2]):
+            raise ValueError(
+                f"origin: got {self.origin}, whose yaw is not known; expected radians, 0 if the "
+                "map is not rotated: correct the .yaml"
+            )
+        return self.origin
+
+    def grid(self, unknown: Literal["occupied", "free"] | None = None) -> Bytes:
+        """Return the map as a grid for searches, (H, W) uint8, 0 free and 1 occupied.
+
+        Args:
+            unknown: what cells become that are neither free nor occupied; None refuses them.
+
+        Raises:
+            ValueError: such cells, while ``unknown`` is None; another word.
+        """
+        if unknown is not None:
+            check_choice("unknown", unknown, ("occupied", "free"))
+        is_unknown = _unknown_cells(self.cells)
+        if unknown is None and is_unknown.any():
+            raise ValueError(
+                f"unknown: {_unknown_share(self.cells)}: expected 'occupied' or 'free', what they "
+                "become"
+            )
+        is_occupied = self.cells == 100
+        if unknown == "occupied":
+            is_occupied |= is_unknown
+        return np.asarray(is_occupied, np.uint8)
+
 
 def read_map(path: StrPath, limits: Limits = LIMITS) -> RosMap:
     """Return the map of a .yaml file.
+
+    In mode trinary, grey 205 is unknown in a picture of map_saver, whatever the thresholds are: a
+    ``free_thresh`` of 0.25, which map_saver of Nav2 writes beside it, would make it free.
 
     Raises:
         FormatError: fields missing or out of range, a picture that is missing, damaged or outside
             the yaml's folder.
     """
-    header = _read_header(Path(path))
+    ros_map, _ = _read_map(Path(path), limits)
+    return ros_map
+
+
+def _read_map(path: Path, limits: Limits) -> tuple[RosMap, str]:
+    """Return the map of a .yaml file, and what is overruled in it.
+
+    That is an empty text, or what the thresholds would have made of cells of the grey that
+    map_saver writes for unknown ones: "free" or "occupied".
+
+    Raises:
+        FormatError: as `read_map`.
+    """
+    header = _read_header(path)
     pixels = read_pixels(header.picture, limits)
     cells = _classify(pixels, header.mode, header.negate, header.low, header.high)
-    return RosMap(cells, header.resolution, header.origin, header.mode)
+    overruled = ""
+    if header.mode == "trinary" and not header.negate:
+        is_unknown = unknown_of_map_saver(brightness(pixels))
+        values = cells[is_unknown]
+        if (values == 0).any():
+            overruled = "free"
+        elif (values == 100).any():
+            overruled = "occupied"
+        cells[is_unknown] = -1
+    return RosMap(cells, header.resolution, header.origin, header.mode), overruled
 
 
 class _Header(NamedTuple):
@@ -215,7 +287,9 @@ def _read_header(path: Path) -> _Header:
     origin = fields.get("origin", [0.0, 0.0, 0.0])
     if not isinstance(origin, list) or len(origin) != 3:
         raise FormatError(f"{path}: origin is {str(origin)[:40]!r}, expected [x, y, yaw]")
-    x, y, yaw = (_number(path, "origin", coordinate) for coordinate in origin)
+    x, y = (_number(path, "origin", coordinate) for coordinate in origin[:2])
+    # Old versions of map_saver write nan for the yaw of a map without rotation.
+    yaw = math.nan if _is_nan(origin[2]) else _number(path, "origin", origin[2])
     return _Header(
         picture=_picture_path(path, fields["image"]),
         resolution=resolution,
@@ -287,6 +361,13 @@ def _number(path: Path, name: str, value: object) -> float:
     return number
 
 
+def _is_nan(value: object) -> bool:
+    """Return whether the value of a field is NaN, also as the text that C++ writes."""
+    if isinstance(value, str):
+        return value.strip().lower() in ("nan", "-nan")
+    return isinstance(value, float) and math.isnan(value)
+
+
 def _picture_path(path: Path, name: object) -> Path:
     """Return the path of the picture that the .yaml file ``path`` names.
 
@@ -307,8 +388,13 @@ def _picture_path(path: Path, name: object) -> Path:
     fault = "is missing" if is_inside else "lies outside the folder of the yaml"
     advice = ""
     base_name = PureWindowsPath(name).name
-    if base_name != name and (folder / base_name).is_file():
-        advice = f"; say image: {base_name}, which lies beside it"
+    stem = PureWindowsPath(name).stem
+    # The picture may have been moved, or converted to another type.
+    candidates = [base_name, *(f"{stem}{ending}" for ending in PICTURES)]
+    for candidate in candidates:
+        if candidate and candidate != name and (folder / candidate).is_file():
+            advice = f"; say image: {candidate}, which lies beside it"
+            break
     raise FormatError(f"{path}: image {name[:80]!r} {fault}{advice}")
 
 
@@ -348,26 +434,6 @@ def _classify(pixels: Pixels, mode: str, negate: bool, low: float, high: float) 
     return cells
 
 
-def to_grid(cells: Int8s, unknown: str | None, label: str) -> Bytes:
-    """Return cells as a grid, 0 free and 1 occupied.
-
-    Args:
-        cells: (H, W) int8, as in `RosMap`.
-        unknown: "occupied" or "free": what cells become that are neither; None refuses them.
-        label: names the map in errors.
-
-    Raises:
-        FormatError: cells that are neither free nor occupied, while ``unknown`` is None.
-    """
-    is_unknown = _unknown_cells(cells)
-    if unknown is None and is_unknown.any():
-        raise _unknown_error(is_unknown, label, between=np.asarray((cells > 0) & (cells < 100)))
-    is_occupied = cells == 100
-    if unknown == "occupied":
-        is_occupied |= is_unknown
-    return np.asarray(is_occupied, np.uint8)
-
-
 class _CostScale(NamedTuple):
     """What the pixels of a costmap mean.
 
@@ -385,6 +451,9 @@ _COST_SCALES = {"raw": _CostScale(252, 254), "scaled": _CostScale(98, 100)}
 
 _UNKNOWN = 255
 """The pixel of an unknown cell of a costmap."""
+
+_SAY_UNKNOWN = "say --ros.unknown occupied or --ros.unknown free"
+"""What to do about unknown cells."""
 
 
 def read_costs(path: StrPath, limits: Limits = LIMITS) -> tuple[Bytes, float]:
@@ -423,7 +492,8 @@ def to_terrain(costs: Bytes, scale: str, unknown: str | None, label: str) -> Byt
     """
     is_unknown = costs == _UNKNOWN
     if unknown is None and is_unknown.any():
-        raise _unknown_error(is_unknown, label)
+        share = percent(float(is_unknown.mean()))
+        raise FormatError(f"{label}: {share} of its cells are unknown: {_SAY_UNKNOWN}")
     max_cost = int(costs[~is_unknown].max(initial=0))
     scaled = _COST_SCALES["scaled"]
     max_free, max_occupied = _COST_SCALES[scale]
@@ -443,23 +513,16 @@ def to_terrain(costs: Bytes, scale: str, unknown: str | None, label: str) -> Byt
     return terrain
 
 
-def _unknown_error(is_unknown: Flags, label: str, between: Flags | None = None) -> FormatError:
-    """Return the error for a map with unknown cells, without a word on what they become.
-
-    Args:
-        is_unknown: (H, W), which cells are unknown or between the thresholds.
-        label: names the map.
-        between: (H, W), those between the thresholds, if the map has such values.
-    """
+def _unknown_share(cells: Int8s) -> str:
+    """Return how many cells are unknown or between the thresholds, as text."""
+    is_unknown = _unknown_cells(cells)
+    is_between = (cells > 0) & (cells < 100)
     state = "unknown"
-    if between is not None and between.any():
+    if is_between.any():
         state = "between free and occupied"
-        if (is_unknown & ~between).any():
+        if (is_unknown & ~is_between).any():
             state = "unknown or between free and occupied"
-    return FormatError(
-        f"{label}: {is_unknown.mean():.1%} of its cells are {state}: say "
-        "--ros.unknown occupied or --ros.unknown free"
-    )
+    return f"{percent(float(is_unknown.mean()))} of its cells are {state}"
 
 
 def _unknown_cells(cells: Int8s) -> Flags:
@@ -568,6 +631,8 @@ def read(
         raise ValueError("resample: does nothing without resolution")
     collection = Collection()
     unknown_shares: list[float] = []
+    overruled_maps: dict[str, list[str]] = {"free": [], "occupied": []}
+    free_space = FreeSpace()
     for path in files_with_endings(source, ENDINGS, limits, collection):
         with collection.leaving_out(path):
             split = split_from_folders(path, source)
@@ -576,15 +641,36 @@ def read(
                     path, split, limits, costmap, unknown, resolution
                 )
             else:
-                foreign_map, unknown_share = _read_occupancy(
-                    path, split, limits, unknown, resolution, resample
-                )
+                ros_map, overruled = _read_map(path, limits)
+                grid = _checked_grid(path, ros_map, overruled, unknown)
+                unknown_share = float(_unknown_cells(ros_map.cells).mean())
+                if resolution is not None:
+                    # The quotient of the decimal texts, since 0.15 / 0.05 is not 3 in floats.
+                    factor = Fraction(repr(resolution)) / Fraction(repr(ros_map.resolution))
+                    factor = factor.limit_denominator(1000)
+                    own_grid = grid
+                    grid = resampled(own_grid, factor, resample, limits)
+                    if factor != 1:
+                        free_space.add(own_grid, [grid], cell_area=float(factor**2))
+                foreign_map = ForeignMap(str(path), grid, split, resolution or ros_map.resolution)
+                if overruled:
+                    overruled_maps[overruled].append(str(path))
             collection.maps.append(foreign_map)
             unknown_shares.append(unknown_share)
     if costmap is None:
-        note_free_cells(
-            collection, "what the .yaml calls free", "negate in the .yaml, or --ros.unknown,"
-        )
+        note_free_cells(collection, "what the .yaml calls free", None)
+        for state, names in overruled_maps.items():
+            if names:
+                collection.notes.append(
+                    f"grey {UNKNOWN} is unknown in {len(names)} of {len(collection.maps)} maps "
+                    f"({names[0]}), as map_saver writes it, although their thresholds make it "
+                    f"{state}"
+                )
+        if resolution is not None:
+            collection.notes += free_space.notes(
+                f"resampled to {resolution:g} metres per cell",
+                "shrink less" if resample == "mean" else "shrink less, or use --ros.resample mean",
+            )
     else:
         max_free, max_occupied = _COST_SCALES[costmap]
         collection.notes.append(
@@ -593,37 +679,40 @@ def read(
         )
     if any(unknown_shares):
         collection.notes.append(
-            f"{np.mean(unknown_shares):.1%} of the cells were unknown and are now {unknown}"
+            f"{percent(float(np.mean(unknown_shares)))} of the cells were unknown and are now "
+            f"{unknown}"
         )
     return collection
 
 
-def _read_occupancy(
-    path: Path,
-    split: int | None,
-    limits: Limits,
-    unknown: str | None,
-    resolution: float | None,
-    resample: str | None,
-) -> tuple[ForeignMap, float]:
-    """Return the map of a .yaml file, and the share of its cells that were unknown.
+def _checked_grid(
+    path: Path, ros_map: RosMap, overruled: str, unknown: Literal["occupied", "free"] | None
+) -> Bytes:
+    """Return the grid of the map of a .yaml file, (H, W) uint8, 0 free and 1 occupied.
+
+    Args:
+        path: of the file, for errors.
+        ros_map: its map.
+        overruled: as `_read_map` returns it.
+        unknown: what unknown cells become.
 
     Raises:
-        FormatError: a file that `read_map` refuses, a filter mask, or unknown cells.
+        FormatError: a filter mask, or unknown cells, while ``unknown`` is None.
     """
-    ros_map = read_map(path, limits)
     if _is_filter_mask(ros_map):
         raise FormatError(
             f"{path}: mode: raw, a filter mask, not a map: its pixels are costs or speed limits; "
             "--ros.costmap reads costs"
         )
-    grid = to_grid(ros_map.cells, unknown, str(path))
-    unknown_share = float(_unknown_cells(ros_map.cells).mean())
-    if resolution is not None:
-        # The quotient of the decimal texts, since 0.15 / 0.05 is not 3 in floating point.
-        factor = Fraction(repr(resolution)) / Fraction(repr(ros_map.resolution))
-        grid = resampled(grid, factor.limit_denominator(1000), resample, limits)
-    return ForeignMap(str(path), grid, split, resolution or ros_map.resolution), unknown_share
+    if unknown is None and _unknown_cells(ros_map.cells).any():
+        reason = _unknown_share(ros_map.cells)
+        if overruled:
+            reason += (
+                f" (grey {UNKNOWN}, as map_saver writes them, although the thresholds make it "
+                f"{overruled})"
+            )
+        raise FormatError(f"{path}: {reason}: {_SAY_UNKNOWN}")
+    return ros_map.grid(unknown)
 
 
 def _read_costmap(

@@ -5,18 +5,24 @@ from __future__ import annotations
 import io
 import struct
 import sys
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers.wild import Bytes, cli, npy, npz, png
-from PIL import Image
+from helpers.wild import SETTINGS, Bytes, cli, npy, npz, png
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from PIL import Image, ImageOps
+from scipy import ndimage
 
 from mapdata import read_shard
 from mapdata.formats import Collection, FormatError, Limits, read_any, recognise
 from mapdata.formats.files import files_below, natural_key
 from mapdata.formats.images import brightness, read, read_pixels
+from mapdata.formats.shrinking import any_occupied
 from mapdata.shards import read_manifest
 
 GRID: Bytes = np.array([[0, 0, 1, 1], [0, 1, 1, 0], [0, 0, 0, 0]], np.uint8)
@@ -113,14 +119,16 @@ def test_pixels_above_the_threshold_are_free(tmp_path: Path) -> None:
         {"threshold": float("nan")},
         {"fit": "stretch"},
         {"fit": "crop"},
+        {"resample": "any"},
+        {"resample": "any", "size": (1, 1), "fit": "crop"},
     ):
-        with pytest.raises(ValueError, match=r"threshold|fit"):
+        with pytest.raises(ValueError, match=r"threshold|fit|resample"):
             read_any(tmp_path, **options)
 
 
 def test_resize_and_crop(tmp_path: Path) -> None:
-    """Resizing averages brightness, cropping takes the middle, and pictures that are too small to
-    crop are left out.
+    """Resizing keeps blocks of equal pixels, cropping takes the middle, and pictures that are too
+    small to crop are left out.
     """
     Image.fromarray(np.kron(DARK, np.ones((2, 2), np.uint8))).save(tmp_path / "a.png")
     assert grids(tmp_path, size=(3, 4)) == [GRID.tolist()]
@@ -132,9 +140,88 @@ def test_resize_and_crop(tmp_path: Path) -> None:
     assert collection.left_out[0][1] == "has 6 x 8 cells, too small to crop 7 x 4"
 
 
+@settings(SETTINGS, max_examples=60)
+@given(
+    arrays.arrays(
+        np.uint8, st.tuples(st.integers(1, 7), st.integers(1, 7)), elements=st.integers(0, 1)
+    ),
+    st.tuples(st.integers(1, 9), st.integers(1, 9)),
+)
+def test_a_resized_cell_is_occupied_if_any_part_of_it_is(
+    grid: Bytes, size: tuple[int, int]
+) -> None:
+    """Cells are compared as rectangles, whose corners are fractions."""
+    height, width = grid.shape
+    rows, columns = size
+
+    def overlap(old: int, old_length: int, new: int, new_length: int) -> bool:
+        first = max(Fraction(old, old_length), Fraction(new, new_length))
+        last = min(Fraction(old + 1, old_length), Fraction(new + 1, new_length))
+        return first < last
+
+    expected = np.zeros(size, int)
+    for row, column in np.argwhere(grid).tolist():
+        for down in range(rows):
+            for right in range(columns):
+                if overlap(row, height, down, rows) and overlap(column, width, right, columns):
+                    expected[down, right] = 1
+    assert any_occupied(grid, size).tolist() == expected.tolist()
+
+
+@pytest.mark.parametrize("ending", ["png", "npy"])
+def test_walls_stay_when_pictures_and_arrays_become_smaller(ending: str, tmp_path: Path) -> None:
+    """Sixteen rooms with walls of one pixel stay sixteen. By the mean they become one, and a note
+    has both numbers, as scipy counts them, and the share of the free area that was lost.
+    """
+    plan = np.zeros((256, 256), np.uint8)
+    plan[[0, 1, -2, -1]] = plan[:, [0, 1, -2, -1]] = 1
+    plan[64::64] = 1
+    plan[:, 64::64] = 1
+    plan[3:6, 3:6] = 1
+    plan[4, 4] = 0  # a speck of one cell, which is not counted
+    path = tmp_path / f"plan.{ending}"
+    if ending == "npy":
+        np.save(path, plan)
+    else:
+        Image.fromarray(255 * (1 - plan)).save(path)
+    for resample, rooms in ((None, 16), ("any", 16), ("mean", 1)):
+        collection = read(path, size=(64, 64), resample=resample)  # type: ignore[arg-type]
+        grid = collection.maps[0].grid
+        assert ndimage.label(grid == 0)[1] == rooms
+        lost = 1 - (grid == 0).mean() / (plan == 0).mean()
+        change = f"{lost:.1%} of the free area was lost"
+        if lost < 0:
+            change = f"{-lost:.1%} of free area was added"
+        (note,) = [note for note in collection.notes if "components" in note]
+        assert note.endswith(f"free cells: 16 before, {rooms} after; {change}")
+    (note, _) = read(path, size=(12, 12)).notes
+    assert note.endswith("of the free area was lost; shrink less, or use mean (--images.resample)")
+    (note, *_) = read(path, size=(12, 12), fit="crop").notes
+    assert note.startswith("cropped to 12 x 12 cells: components of at least 16 free cells: 16")
+    assert note.endswith("was lost; crop less, or resize (--images.fit)")
+    # nothing is said where nothing is resized
+    assert not any("components" in note for note in read(path, size=(256, 256)).notes)
+
+
+@pytest.mark.parametrize("orientation", range(1, 10))
+@pytest.mark.parametrize("ending", ["jpg", "png", "webp"])
+def test_a_photo_is_turned_as_its_exif_says(orientation: int, ending: str, tmp_path: Path) -> None:
+    """Pillow's own function says how; 9 is not defined. The map servers of ROS ignore EXIF."""
+    exif = Image.Exif()
+    exif[274] = orientation
+    large = Image.fromarray(np.kron(DARK, np.ones((16, 16), np.uint8)))
+    path = tmp_path / f"photo.{ending}"
+    large.save(path, exif=exif, **({"lossless": True} if ending == "webp" else {"quality": 95}))
+    with Image.open(path) as stored:
+        expected = ImageOps.exif_transpose(stored).convert("L")
+    grid = read(path).maps[0].grid
+    assert grid.tolist() == (np.asarray(expected) <= 127).astype(int).tolist()
+    assert read_pixels(path).values.shape[:2] == (48, 64)
+
+
 @pytest.mark.parametrize("factor", [2, 4, 6])
 def test_pictures_and_arrays_are_resized_alike(factor: int, tmp_path: Path) -> None:
-    """A cell that is half dark becomes occupied, so that thin walls remain."""
+    """By the mean, a cell that is half dark becomes occupied."""
     plan = np.ones((24 * factor, 24 * factor), np.uint8)
     plan[1:-1, 1:-1] = 0
     plan[:, :: 2 * factor] = 1
@@ -144,10 +231,10 @@ def test_pictures_and_arrays_are_resized_alike(factor: int, tmp_path: Path) -> N
         np.save(tmp_path / "plan.npy", each)
         half = factor * factor / 2
         exact = each.reshape(24, factor, 24, factor).sum(axis=(1, 3)) >= half
-        assert grids(tmp_path, size=(24, 24)) == [exact.astype(int).tolist()] * 2
+        assert grids(tmp_path, size=(24, 24), resample="mean") == [exact.astype(int).tolist()] * 2
         Image.fromarray(255 * each).save(tmp_path / "plan.png")
         np.save(tmp_path / "plan.npy", 1 - each)
-        collection = grids(tmp_path, size=(24, 24), invert=True)
+        collection = grids(tmp_path, size=(24, 24), invert=True, resample="mean")
         assert collection == [exact.astype(int).tolist()] * 2
 
 
@@ -161,7 +248,15 @@ def test_arrays_are_imported(tmp_path: Path) -> None:
     assert grids(tmp_path / "b.npy", invert=True) == [(1 - GRID).tolist()]
     np.savez(tmp_path / "c.npz", a=GRID, b=GRID)
     (left,) = read(tmp_path).left_out
-    assert left[1] == "holds arrays a, b, expected one of (N, H, W)"
+    assert left[1] == (
+        "holds arrays a (3, 4), b (3, 4), expected one of (N, H, W); --images.array NAME says "
+        "which one"
+    )
+    np.savez(tmp_path / "c.npz", a=GRID, b=1 - GRID)
+    assert grids(tmp_path / "c.npz", array="b") == [(1 - GRID).tolist()]
+    assert "holds no array 'c', but a, b" in read(tmp_path / "c.npz", array="c").left_out[0][1]
+    with pytest.raises(ValueError, match=r"array: does nothing without an \.npz file"):
+        read(tmp_path / "b.npy", array="b")
 
 
 def test_folders_give_splits_and_names_give_the_order(tmp_path: Path) -> None:
@@ -215,7 +310,10 @@ def hostile(folder: Path) -> dict[str, str]:
     (folder / "good.bmp").unlink()
     (folder / "good.jpg").unlink()
     cases: dict[str, tuple[bytes, str]] = {
-        "bomb.png": (png(9400, 9400), "has 9400 x 9400 pixels, expected at most 16777216 in all"),
+        "bomb.png": (
+            png(9400, 9400),
+            "has 9400 x 9400 pixels, expected at most 16777216 in all; --max-pixels sets this",
+        ),
         "warning.png": (png(13000, 13000), "has 13000 x 13000 pixels"),
         "error.png": (png(20000, 20000), "exceeds limit"),
         "nothing.png": (b"", "not a PNG"),
@@ -465,7 +563,7 @@ def test_unknown_cells_are_replaced_before_pictures_are_scaled(tmp_path: Path) -
     pixels[0, 3] = 0
     Image.fromarray(pixels).save(tmp_path / "a.png")
     for unknown, expected in (("occupied", [[1, 0], [1, 0]]), ("free", [[0, 0], [0, 0]])):
-        collection = read(tmp_path, unknown=unknown, size=(2, 2))  # type: ignore[arg-type]
+        collection = read(tmp_path, unknown=unknown, size=(2, 2), resample="mean")  # type: ignore[arg-type]
         assert collection.maps[0].grid.tolist() == expected
 
 

@@ -16,6 +16,7 @@ from helpers import reference
 from helpers.grids import random_grids
 from helpers.imported import collection
 from helpers.wild import cli
+from scipy import ndimage
 
 from mapdata import (
     Labels,
@@ -152,6 +153,32 @@ def test_each_size_and_resolution_becomes_a_dataset(tmp_path: Path) -> None:
     assert (tiled.root, tiled.manifest.maps, tiled.manifest.map_size) == (tmp_path / "c", 5, (8, 8))
     with pytest.raises(ValueError, match=r"tile: got \(0, 8\)"):
         import_maps(tmp_path / "d", source, tile=(0, 8))
+
+
+def test_a_note_says_what_tiles_do_to_free_space(tmp_path: Path) -> None:
+    """It counts components as scipy does, and the free cells that are dropped at the edges."""
+    grid = random_grids(1, 20, 30)[0]
+    grid[:, :10] = 0
+    source = collection(grid)
+    import_maps(tmp_path / "out", source, tile=(8, 9))
+    tiles = [
+        grid[top : top + 8, left : left + 9] for top in range(0, 16, 8) for left in range(0, 27, 9)
+    ]
+
+    def components(cells: Bytes) -> int:
+        labels, _ = ndimage.label(cells == 0)
+        return int((np.bincount(labels.ravel())[1:] >= 16).sum())
+
+    lost = 1 - sum((tile == 0).sum() for tile in tiles) / (grid == 0).sum()
+    assert 0.2 < lost < 0.4
+    assert (
+        f"cut into tiles of 8 x 9 cells: components of at least 16 free cells: {components(grid)} "
+        f"before, {sum(map(components, tiles))} after; {lost:.1%} of the free area was lost; "
+        "another --tile drops less at the edges"
+    ) in source.notes
+    whole = collection(grid)
+    import_maps(tmp_path / "whole", whole, tile=(20, 30))
+    assert not any("components" in note for note in whole.notes)
 
 
 def test_an_import_can_be_completed(tmp_path: Path) -> None:

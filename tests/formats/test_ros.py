@@ -16,11 +16,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image
+from scipy import ndimage
 
 from mapdata import read_shard, to_metres
 from mapdata.formats import FormatError, Limits, export, read_any
 from mapdata.formats.images import Pixels, read_pixels
-from mapdata.formats.ros import _classify, read, read_map, resampled, to_grid
+from mapdata.formats.ros import RosMap, _classify, read, read_map, resampled
 from mapdata.shards import read_manifest
 
 YAML = """image: {image}
@@ -82,12 +83,9 @@ def test_types_of_pictures_are_read(mode: str, picture_format: str, tmp_path: Pa
     ros_map = read_map(
         write(tmp_path, (tmp_path / f"map.{picture_format}").read_bytes(), f"map.{picture_format}")
     )
-    expected = np.array(CELLS)
-    if mode in ("RGBA", "LA") and picture_format == "png":
-        # (3 * 205 + 255) / 4 = 217.5 is below the free threshold, which is what both servers make
-        # of it
-        expected[1, 0] = 0
-    assert ros_map.cells.tolist() == expected.tolist()
+    # With alpha, (3 * 205 + 255) / 4 = 217.5 is below the free threshold, and both servers make it
+    # free. But as 205 is a main grey of this map, it is unknown.
+    assert ros_map.cells.tolist() == CELLS
 
 
 def slow(
@@ -147,6 +145,151 @@ def test_negate_and_thresholds(tmp_path: Path) -> None:
         read_map(write(tmp_path, mode="scale")).cells[1, 0] == 0
     )  # (50 / 255 - 0.196) / 0.454 is 0.02 %
     assert read_map(write(tmp_path, mode="scale", free_thresh="0.1")).cells[1, 0] == 17
+
+
+FREE, OCCUPIED, UNKNOWN = 254, 0, 205
+"""The greys of map_saver."""
+
+
+def saved_map(unknown_share: float = 0.5, free_grey: int = FREE) -> Bytes:
+    """Return a picture (20, 50) of map_saver; of each 100 cells 20 are occupied."""
+    greys = np.full(1000, free_grey, np.uint8)
+    greys[:200] = OCCUPIED
+    greys[200 : 200 + round(1000 * unknown_share)] = UNKNOWN
+    return np.random.default_rng(0).permutation(greys).reshape(20, 50)
+
+
+def pgm(greys: Bytes) -> bytes:
+    """Return a picture as a PGM."""
+    return b"P5 %d %d 255\n" % greys.shape[::-1] + greys.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("fields", "state"),
+    [
+        ({"free_thresh": "0.25"}, "free"),
+        ({"free_thresh": "0.25", "mode": "trinary"}, "free"),
+        ({"free_thresh": "0.1", "occupied_thresh": "0.15"}, "occupied"),
+    ],
+)
+def test_grey_205_is_unknown_in_a_map_of_map_saver(
+    fields: dict[str, str], state: str, tmp_path: Path
+) -> None:
+    """The thresholds do not count: map_saver of Nav2 writes 0.25 beside such a picture."""
+    greys = saved_map()
+    path = write(tmp_path, pgm(greys), **fields)
+    assert np.array_equal(read_map(path).cells == -1, greys == UNKNOWN)
+    with pytest.raises(
+        FormatError,
+        match=r"50.0% of its cells are unknown \(grey 205, as map_saver writes them, although the "
+        rf"thresholds make it {state}\): say --ros.unknown occupied or",
+    ):
+        read_any(path)
+    for unknown, expected in (
+        ("occupied", greys != FREE),
+        ("free", greys == OCCUPIED),
+    ):
+        collection = read_any(path, unknown=unknown)
+        assert np.array_equal(collection.maps[0].grid, expected)
+        assert np.array_equal(read_map(path).grid(unknown), expected)  # type: ignore[arg-type]
+        assert (
+            f"grey 205 is unknown in 1 of 1 maps ({path}), as map_saver writes it, although their "
+            f"thresholds make it {state}" in collection.notes
+        )
+        # the picture without its .yaml is the same map
+        alone = read_any(tmp_path / "map.pgm", unknown=unknown)
+        assert np.array_equal(alone.maps[0].grid, expected)
+    with pytest.raises(
+        FormatError, match=r"50.0% of its pixels are of grey 205.*import .*map.yaml"
+    ):
+        read_any(tmp_path / "map.pgm")
+
+
+@pytest.mark.parametrize(
+    ("greys", "fields", "value"),
+    [
+        (saved_map(0.009), {}, 0),  # too few unknown cells
+        (saved_map(0.01), {}, -1),
+        (saved_map(0.01, free_grey=250), {}, -1),
+        (saved_map(free_grey=249), {}, 0),  # no grey of free cells
+        (saved_map(), {"mode": "scale"}, 0),
+        (saved_map(), {"mode": "raw"}, -1),  # 205 is above 100
+        (saved_map(), {"negate": "1"}, 100),
+    ],
+)
+def test_the_yaml_decides_on_205_in_other_pictures(
+    greys: Bytes, fields: dict[str, str], value: int, tmp_path: Path
+) -> None:
+    """Both greys have to fill 1 % of a map in mode trinary, in which white is free."""
+    path = write(tmp_path, pgm(greys), free_thresh="0.25", **fields)
+    assert (read_map(path).cells[greys == UNKNOWN] == value).all()
+    if value == 0:
+        notes = read_any(path, unknown="occupied").notes
+        assert not any("205" in note for note in notes)
+
+
+def test_a_map_gives_its_grid(tmp_path: Path) -> None:
+    """Unknown cells need a word, and only two words are known."""
+    ros_map = read_map(write(tmp_path))
+    assert ros_map.grid("free").tolist() == [[0, 0, 1], [0, 0, 0]]
+    assert ros_map.grid("occupied").tolist() == [[0, 0, 1], [1, 0, 0]]
+    with pytest.raises(ValueError, match=r"unknown: 16.7% of its cells are unknown: expected 'occ"):
+        ros_map.grid()
+    with pytest.raises(ValueError, match="unknown: got 'wall', expected one of occupied, free"):
+        ros_map.grid("wall")  # type: ignore[arg-type]
+
+
+def test_few_unknown_cells_are_not_called_none(tmp_path: Path) -> None:
+    """One cell of 10,000 is less than 0.1 %."""
+    greys = np.full((100, 100), FREE, np.uint8)
+    greys[0, 0] = 100
+    path = write(tmp_path, pgm(greys))
+    with pytest.raises(FormatError, match=r"less than 0\.1% of its cells are unknown"):
+        read_any(path)
+    notes = read_any(path, unknown="occupied").notes
+    assert "less than 0.1% of the cells were unknown and are now occupied" in notes
+    assert any("free: more than 99.9% of a map" in note for note in notes)
+    # the border is free, and the .yaml says so
+    assert not any("border" in note for note in notes)
+
+
+@pytest.mark.parametrize("yaw", ["nan", "-nan", ".nan"])
+def test_a_yaw_of_nan_is_refused_where_it_is_used(yaw: str, tmp_path: Path) -> None:
+    """Old versions of map_saver write it, and an import needs no origin."""
+    path = write(tmp_path, origin=f"[1.0, 2.0, {yaw}]")
+    assert len(read_any(path, unknown="free").maps) == 1
+    ros_map = read_map(path)
+    with pytest.raises(ValueError, match="origin"):
+        ros_map.to_metres(0, 0)
+    with pytest.raises(ValueError, match="origin"):
+        ros_map.to_cells([1.01, 2.01])
+
+
+@pytest.mark.parametrize("resample", [None, "mean"])
+def test_a_note_says_what_resampling_does_to_walls(resample: str | None, tmp_path: Path) -> None:
+    """It counts components as scipy does, and the lost share of the area in square metres."""
+    greys = np.full((120, 120), FREE, np.uint8)
+    greys[[0, 60, 119]] = greys[:, [0, 60, 119]] = OCCUPIED
+    path = write(tmp_path, pgm(greys), resolution="0.1")
+    collection = read_any(path, resolution=0.4, resample=resample)
+    grid = collection.maps[0].grid
+    after = 1 if resample else 4
+    assert ndimage.label(grid == 0)[1] == after
+    lost = 1 - (grid == 0).sum() * 0.4**2 / ((greys == FREE).sum() * 0.1**2)
+    change = f"{lost:.1%} of the free area was lost"
+    if lost < 0:
+        change = f"{-lost:.1%} of free area was added"
+    note = (
+        "resampled to 0.4 metres per cell: components of at least 16 free cells: 4 before, "
+        f"{after} after; {change}"
+    )
+    assert note in collection.notes
+    greys[1::8] = greys[2::8] = OCCUPIED
+    write(tmp_path, pgm(greys), resolution="0.1")
+    advice = "lost; shrink less" if resample else "lost; shrink less, or use --ros.resample mean"
+    assert any(
+        note.endswith(advice) for note in read_any(path, resolution=0.4, resample=resample).notes
+    )
 
 
 def test_metres_are_measured_from_the_origin(tmp_path: Path) -> None:
@@ -289,6 +432,7 @@ FIELDS = {
     "no picture": ({"image": "other.pgm"}, "image 'other.pgm' is missing$"),
     "absolute": ({"image": "/etc/passwd"}, "lies outside the folder of the yaml$"),
     "moved": ({"image": "/home/robot/maps/map.pgm"}, "; say image: map.pgm, which lies beside it$"),
+    "converted": ({"image": "map.png"}, "'map.png' is missing; say image: map.pgm, which lies"),
     "moved up": ({"image": '"test/map.pgm"'}, "'test/map.pgm' is missing; say image: map.pgm"),
     "outside": ({"image": "../../map.pgm"}, "lies outside"),
     "sneaky": ({"image": "x/../../map.pgm"}, "lies outside"),
@@ -437,7 +581,8 @@ def test_cells_become_free_or_occupied(cells: npt.NDArray[np.int8], unknown: str
     """The value 0 is free, 100 is occupied, and all other values become what unknown
     cells become.
     """
-    grid = to_grid(cells, unknown, "x")
+    ros_map = RosMap(cells, 0.05, (0.0, 0.0, 0.0))
+    grid = ros_map.grid(unknown)  # type: ignore[arg-type]
     assert grid.tolist() == [
         [{0: 0, 100: 1}.get(v, int(unknown == "occupied")) for v in row] for row in cells.tolist()
     ]
