@@ -32,7 +32,7 @@ from mapdata.formats.files import (
     split_from_folders,
 )
 from mapdata.formats.registry import Format
-from mapdata.formats.shrinking import FreeSpace, any_occupied
+from mapdata.formats.shrinking import FreeSpace, any_occupied, check_free
 from mapdata.limits import Size
 from mapdata.npy import FormatError, Npz, StoredArray, open_npy, refusing
 
@@ -341,7 +341,7 @@ def _sized(
         free_space: counts the free cells before and after.
 
     Raises:
-        FormatError: the grid is too small to be cropped.
+        FormatError: the grid is too small to be cropped, or no free cell is left of it.
     """
     if size is None or size == cells.shape:
         return cells
@@ -351,6 +351,8 @@ def _sized(
     else:
         sized = mean(size) if resample == "mean" else any_occupied(cells, size)
         cell_area = cells.size / sized.size
+        _, advice = _size_note(size, fit, resample)
+        check_free(cells, sized, advice)
     free_space.add(cells, [sized], cell_area)
     return sized
 

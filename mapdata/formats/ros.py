@@ -64,7 +64,7 @@ from mapdata.formats.images import (
     unknown_of_map_saver,
 )
 from mapdata.formats.registry import Format
-from mapdata.formats.shrinking import FreeSpace
+from mapdata.formats.shrinking import FreeSpace, check_free
 from mapdata.npy import FormatError, refusing
 from mapdata.search.taut import to_metres
 from mapdata.shards.files import StrPath
@@ -633,6 +633,7 @@ def read(
     unknown_shares: list[float] = []
     overruled_maps: dict[str, list[str]] = {"free": [], "occupied": []}
     free_space = FreeSpace()
+    advice = "shrink less" if resample == "mean" else "shrink less, or use --ros.resample mean"
     for path in files_with_endings(source, ENDINGS, limits, collection):
         with collection.leaving_out(path):
             split = split_from_folders(path, source)
@@ -650,6 +651,7 @@ def read(
                     factor = factor.limit_denominator(1000)
                     own_grid = grid
                     grid = resampled(own_grid, factor, resample, limits)
+                    check_free(own_grid, grid, advice)
                     if factor != 1:
                         free_space.add(own_grid, [grid], cell_area=float(factor**2))
                 foreign_map = ForeignMap(str(path), grid, split, resolution or ros_map.resolution)
@@ -667,10 +669,8 @@ def read(
                     f"{state}"
                 )
         if resolution is not None:
-            collection.notes += free_space.notes(
-                f"resampled to {resolution:g} metres per cell",
-                "shrink less" if resample == "mean" else "shrink less, or use --ros.resample mean",
-            )
+            action = f"resampled to {resolution:g} metres per cell"
+            collection.notes += free_space.notes(action, advice)
     else:
         max_free, max_occupied = _COST_SCALES[costmap]
         collection.notes.append(

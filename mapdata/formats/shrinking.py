@@ -16,6 +16,7 @@ from mapdata.arrays import Array, Bytes, Flags
 from mapdata.formats.files import percent
 from mapdata.generators.points import count_components
 from mapdata.limits import Size
+from mapdata.npy import FormatError
 
 MIN_CELLS = 16
 """Components of fewer free cells are not counted: they are specks."""
@@ -96,6 +97,22 @@ class FreeSpace:
             f"{action}: components of at least {MIN_CELLS} free cells: {self.components_before:,} "
             f"before, {self.components_after:,} after; {change}"
         ]
+
+
+def check_free(before: Bytes, after: Bytes, advice: str) -> None:
+    """Check that a smaller map has a free cell, if the map had one before.
+
+    Args:
+        before: (H, W) uint8, 0 free and 1 occupied.
+        after: the smaller map.
+        advice: what to do otherwise.
+
+    Raises:
+        FormatError: all cells are occupied.
+    """
+    if after.all() and not before.all():
+        rows, columns = after.shape
+        raise FormatError(f"no free cell is left of {rows} x {columns} cells: {advice}")
 
 
 def _components(grid: Bytes) -> int:

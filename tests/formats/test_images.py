@@ -199,6 +199,11 @@ def test_walls_stay_when_pictures_and_arrays_become_smaller(ending: str, tmp_pat
     (note, *_) = read(path, size=(12, 12), fit="crop").notes
     assert note.startswith("cropped to 12 x 12 cells: components of at least 16 free cells: 16")
     assert note.endswith("was lost; crop less, or resize (--images.fit)")
+    plan[::2] = 1
+    grating = tmp_path / "grating.npy"
+    np.save(grating, plan)
+    reason = "no free cell is left of 64 x 64 cells: shrink less, or use mean (--images.resample)"
+    assert read(grating, size=(64, 64)).left_out == [(str(grating), reason)]
     # nothing is said where nothing is resized
     assert not any("components" in note for note in read(path, size=(256, 256)).notes)
 

@@ -265,6 +265,18 @@ def test_a_yaw_of_nan_is_refused_where_it_is_used(yaw: str, tmp_path: Path) -> N
         ros_map.to_cells([1.01, 2.01])
 
 
+def test_a_map_without_free_cells_left_is_refused(tmp_path: Path) -> None:
+    """The reason is the resampling, and not the map."""
+    greys = np.full((40, 40), FREE, np.uint8)
+    greys[::2] = OCCUPIED
+    path = write(tmp_path, pgm(greys), resolution="0.1")
+    with pytest.raises(
+        FormatError, match=r"no free cell is left of 20 x 20 cells: shrink less, or"
+    ):
+        read_any(path, resolution=0.2)
+    assert len(read_any(path, resolution=0.1).maps) == 1
+
+
 @pytest.mark.parametrize("resample", [None, "mean"])
 def test_a_note_says_what_resampling_does_to_walls(resample: str | None, tmp_path: Path) -> None:
     """It counts components as scipy does, and the lost share of the area in square metres."""

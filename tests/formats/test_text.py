@@ -63,6 +63,7 @@ def test_a_maze_has_start_and_goal(tmp_path: Path, capsys: pytest.CaptureFixture
     sample = MapDataset(tmp_path / "out", None, ("start", "goal", "cost"))[0]
     assert (sample.start.tolist(), sample.goal.tolist()) == ([1, 1], [3, 5])
     assert sample.cost == 6
+    assert read_shard(next((tmp_path / "out").glob("*.h5"))).maps.rooms.tolist() == [2]
 
 
 def test_letters_can_be_named(tmp_path: Path) -> None:
@@ -83,7 +84,7 @@ def test_letters_can_be_named(tmp_path: Path) -> None:
     assert np.array_equal(inverted.grid, foreign_map.grid)
     for options in ({"occupied": ""}, {"free": "#"}, {"occupied": "#S"}):
         with pytest.raises(ValueError, match="occupied, free: got"):
-            read(path, **options)
+            read(path, **options)  # type: ignore[arg-type]
 
 
 def test_a_file_may_hold_several_maps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
