@@ -206,32 +206,34 @@ def maps_to_write(target: Path, root: Root, progress: bool) -> Iterator[MapToWri
             yield MapToWrite(folder / f"map{maps.index[k]}", grid, seed_points)
 
 
-def to_occupancy(values: Array, label: str, threshold: float | None = None) -> Bytes:
+def to_occupancy(
+    values: Array, label: str, threshold: float | None = None, *, is_own: bool = True
+) -> Bytes:
     """Return an array of 0 and 1, bool, or probabilities in [0, 1] as uint8 of 0 and 1.
 
     Args:
         values: any shape.
         label: names the array in errors.
         threshold: probabilities above it become 1; None accepts only 0 and 1.
+        is_own: the array is the user's own, not one of a published format, so that an error says
+            what it seems to be and how to make a grid of it.
 
     Raises:
         FormatError: NaN, or another value.
     """
-    low = values.min(initial=0)
-    high = values.max(initial=0)
+    low, high = (values.min(), values.max()) if values.size else (0, 0)
     # With NaN every comparison is false, so this form of the test refuses it.
     is_in_range = 0 <= low <= high <= 1
-    if not is_in_range:
-        raise FormatError(
-            f"{label}: holds values from {low} to {high}, expected 0 to 1{hint_on_values(values)}"
-        )
-    if values.dtype.kind in "biu":
+    if is_in_range and values.dtype.kind in "biu":
         return values.astype(np.uint8, copy=False)  # no copy: an array may be very large
     occupied = values > (0.5 if threshold is None else threshold)
-    if threshold is None and not np.array_equal(occupied, values):
-        raise FormatError(
-            f"{label}: holds values between 0 and 1, expected only 0 and 1{hint_on_values(values)}"
-        )
+    complaint = ""
+    if not is_in_range:
+        complaint = f"holds values from {low} to {high}, expected 0 to 1"
+    elif threshold is None and not np.array_equal(occupied, values):
+        complaint = "holds values between 0 and 1, expected only 0 and 1"
+    if complaint:
+        raise FormatError(f"{label}: {complaint}{hint_on_values(values) if is_own else ''}")
     return occupied.view(np.uint8)
 
 
@@ -276,11 +278,13 @@ def read_grids(array: StoredArray, threshold: float | None = None) -> Iterator[B
     Raises:
         FormatError: bad numbers, or a damaged file.
     """
+    is_own = threshold is not None  # a published format has 0 and 1 alone
     if len(array.shape) == 2:
-        yield to_occupancy(array.read(), array.label, threshold)
+        yield to_occupancy(array.read(), array.label, threshold, is_own=is_own)
         return
     for number, entry in enumerate(array.entries()):
-        grid = to_occupancy(entry, f"{array.label}: map {number}", threshold)
+        label = f"{array.label}: map {number}"
+        grid = to_occupancy(entry, label, threshold, is_own=is_own)
         yield grid.reshape(grid.shape[-2:])
 
 

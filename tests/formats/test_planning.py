@@ -386,7 +386,7 @@ def test_a_damaged_file_gives_no_map(tmp_path: Path) -> None:
     collection = read(tmp_path)
     assert len(collection.maps) == 6
     assert [(Path(name).name, why) for name, why in collection.left_out] == [
-        ("bad.npz", "array 'arr_8': map 1: holds values from 0.0 to 2.0, expected 0 to 1")
+        ("bad.npz", "array 'arr_8': map 1: holds values from 1.0 to 2.0, expected 0 to 1")
     ]
 
 
