@@ -105,8 +105,11 @@ class MapDataModule(_Base):
         build: which maps to build when ``root`` is missing or incomplete: a preset's name, a
             recipe file, its JSON text or mapping, a `MapGenerator` or a `Recipe`.
         batch_size: samples a batch (a rank).
-        num_workers, pin_memory, persistent_workers, prefetch_factor, multiprocessing_context: as in
-            torch's DataLoader.
+        num_workers: as in torch's DataLoader.
+        pin_memory: as in torch's DataLoader.
+        persistent_workers: as in torch's DataLoader.
+        prefetch_factor: as in torch's DataLoader.
+        multiprocessing_context: as in torch's DataLoader.
         drop_last: whether training leaves out the last batch of an epoch if it is not full. The
             loaders of validation, test and prediction always serve every sample.
         loader_options: further options of torch's DataLoader for all loaders by name, such as

@@ -5,9 +5,9 @@ warning.
 from __future__ import annotations
 
 import json
-import os
 import re
 import runpy
+import shutil
 import subprocess
 import sys
 import textwrap
@@ -273,46 +273,67 @@ def test_a_picture_is_drawn_in_both_themes(tmp_path: Path) -> None:
     assert lightest[titles][..., :3][lightest[titles][..., 3] > 200].mean() > 150
 
 
-@pytest.mark.skipif(
+NEEDS_MKDOCS = pytest.mark.skipif(
     not all(map(find_spec, ("material", "mkdocstrings_handlers", "mkdocs_jupyter"))),
     reason='needs pip install -e ".[docs]"',
 )
+
+
+def build_site(checkout: Path) -> subprocess.CompletedProcess[str]:
+    """Build the site of a checkout by the command that docs/howto/publish.md prints."""
+    page = (DOCS / "howto" / "publish.md").read_text(encoding="utf-8")
+    (line,) = re.findall(r"^    (mkdocs build.*)$", page, re.MULTILINE)
+    command = [sys.executable, "-m", *line.split()]
+    return subprocess.run(command, cwd=checkout, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """Give a copy of the checkout, whose site may be built and spoiled."""
+    left_out = shutil.ignore_patterns(".*", "build", "data", "tests", "__pycache__", "*.egg-info")
+    return Path(shutil.copytree(ROOT, tmp_path / "checkout", symlinks=True, ignore=left_out))
+
+
+@NEEDS_MKDOCS
 @pytest.mark.slow
-def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
+def test_a_warning_stops_the_site(checkout: Path) -> None:
+    """One of the reader of docstrings, too: of a parameter that the function does not have."""
+    module = checkout / "mapdata" / "datasets" / "datamodule.py"
+    text = module.read_text(encoding="utf-8")
+    spoiled = text.replace("        num_workers: as in", "        workers, others: as in")
+    assert spoiled != text
+    module.write_text(spoiled, encoding="utf-8")
+    process = build_site(checkout)
+    assert process.returncode == 1
+    said = process.stdout + process.stderr
+    assert re.search(r"Aborted with \d warnings? in strict mode", said)
+
+
+@NEEDS_MKDOCS
+@pytest.mark.slow
+def test_the_site_builds_without_a_warning(checkout: Path) -> None:
     """Strict: each warning is an error; each public name has its place."""
-    command = [
-        sys.executable,
-        "-m",
-        "mkdocs",
-        "build",
-        "--strict",
-        "-q",
-        "-d",
-        str(tmp_path / "site"),
-    ]
-    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
-    process = subprocess.run(
-        command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False
-    )
+    process = build_site(checkout)
     assert process.returncode == 0, textwrap.shorten(process.stderr, 4000)
+    site = checkout / "build" / "site"
     reference = "".join(
-        page.read_text(encoding="utf-8")
-        for page in (tmp_path / "site" / "reference").rglob("*.html")
+        page.read_text(encoding="utf-8") for page in (site / "reference").rglob("*.html")
     )
     for name in mapdata._HOME:
         assert f'<h2 id="mapdata.{name}"' in reference, name
     assert not re.search(r"<h\d[^>]*>[^<]*__\w+__", reference)  # no methods such as __len__
     assert "<blockquote>" not in reference  # >>> is a doctest
-    loading = (tmp_path / "site" / "loading" / "index.html").read_text(encoding="utf-8")
+    # Long signatures are broken into lines.
+    signature = reference.split('id="mapdata.export.export_problems"')[1].split("<pre>")[1]
+    assert signature.split("</pre>")[0].count("\n") > 10
+    loading = (site / "loading" / "index.html").read_text(encoding="utf-8")
     assert "LightningModule" in loading  # scripts are included
     # In Markdown the stars of two A* in a paragraph may become emphasis.
-    pages_of_site = [
-        page.read_text(encoding="utf-8") for page in (tmp_path / "site").rglob("*.html")
-    ]
+    pages_of_site = [page.read_text(encoding="utf-8") for page in (site).rglob("*.html")]
     assert not any(re.search(r"\bA<em>", page) for page in pages_of_site)
-    notebook = (tmp_path / "site" / "first_look" / "index.html").read_text(encoding="utf-8")
+    notebook = (site / "first_look" / "index.html").read_text(encoding="utf-8")
     assert "data:image/png;base64" in notebook
-    front = (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
+    front = (site / "index.html").read_text(encoding="utf-8")
     body = front.split("<article", 1)[1].split("</h1>", 1)[1]
     assert re.match(
         r'\s*<p><picture><source media="[^"]*" srcset="images/overview-phone.png">'
