@@ -1,4 +1,4 @@
-"""Limits of the format: versions, sizes, splits, types of cells; names of the binary fields."""
+"""Limits of the format: versions, sizes, splits, types of cells; names of fields and formats."""
 
 from __future__ import annotations
 
@@ -24,6 +24,22 @@ MAX_CELL_COST = 255
 
 SPLITS = ("train", "val", "test")
 """Names of the splits, in the order of their codes 0, 1, 2."""
+
+PROBLEM_FORMATS = (
+    "arrays",
+    "parquet",
+    "maze-hard",
+    "transpath",
+    "gppn",
+    "vin",
+    "hrm",
+    "warcraft",
+)
+"""What `export_problems` writes: three formats of its own, and all of `LAYOUTS`.
+
+The names stand here, because the help of the command line needs them, and importing
+`mapdata.export` imports torch, which takes seconds.
+"""
 
 Range = tuple[int, int]
 """(lowest, highest), both included."""

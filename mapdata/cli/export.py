@@ -74,8 +74,9 @@ def export_command(
         **options: those of the formats of maps
     """
     from mapdata.cli.convert import movement_of_flags, unprefixed_options
-    from mapdata.export import PROBLEM_FORMATS, export_problems
+    from mapdata.export import export_problems
     from mapdata.formats import export
+    from mapdata.limits import PROBLEM_FORMATS
 
     name = options.pop("format")
     movement = movement_of_flags(connectivity, corner_cutting, diagonal_cost)
@@ -161,8 +162,8 @@ def _refuse_problem_flags(name: str, arguments: dict[str, Any]) -> None:
 def add_export_flags(parser: argparse.ArgumentParser) -> None:
     """Add ``--format``, and the flags that the formats of maps bring."""
     from mapdata.cli.convert import add_format_options
-    from mapdata.export import PROBLEM_FORMATS
     from mapdata.formats.registry import functions_by_format
+    from mapdata.limits import PROBLEM_FORMATS
 
     formats = functions_by_format("write")
     names = [*PROBLEM_FORMATS, *(name for name in formats if name not in PROBLEM_FORMATS)]
