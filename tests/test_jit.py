@@ -18,9 +18,11 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
+from helpers import served_fields
 
 import mapdata
 from mapdata import jit
+from mapdata.datasets import FIELDS
 from mapdata.jit import kernel, source_hash
 from mapdata.rng import philox4x32
 
@@ -350,3 +352,19 @@ def test_constants_are_no_flavours_of_their_own() -> None:
     assert add(1, (2, 3), True) == 6
     if jit.COMPILED:
         assert len(vars(add)["overloads"]) == 1
+
+
+@pytest.mark.slow
+def test_all_fields_are_those_of_plain_python(tmp_path: Path) -> None:
+    """Compiled kernels neither wrap around, nor read beyond an array, where Python would not."""
+    program = [sys.executable, served_fields.__file__, str(tmp_path / "plain.npz")]
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    subprocess.run(program, env=environment, check=True, capture_output=True)
+    with np.load(tmp_path / "plain.npz") as file:
+        plain = dict(file)
+    compiled = dict(served_fields.served_fields())
+    assert compiled.keys() == plain.keys()
+    assert len(compiled) == 4 * len(FIELDS) - 1
+    for name, values in compiled.items():
+        assert values.dtype == plain[name].dtype, name
+        np.testing.assert_array_equal(values, plain[name], err_msg=name)

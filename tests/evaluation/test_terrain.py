@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
 import numpy as np
@@ -367,6 +367,23 @@ class Recording:
         return Plan(np.array([start]), 1)
 
 
+@dataclass
+class RecordingInBatches(Recording):
+    """The same, in batches as well."""
+
+    batches: list[Bytes] = field(default_factory=list)
+    name: str = "recording in batches"
+
+    def plan_batch(
+        self, grids: Bytes, starts: Ints, goals: Ints, terrain: Bytes | None = None
+    ) -> list[Plan]:
+        """Keep the terrain of the batch."""
+        assert terrain is not None
+        self.batches.append(terrain.copy())
+        terrain[:] = 0
+        return [Plan(start[None], 1) for start in starts]
+
+
 class Blind(Batched):
     """A planner in batches that does not take terrain."""
 
@@ -388,6 +405,17 @@ def test_planners_get_the_terrain_if_they_take_it() -> None:
     on_mean_cost = row(table, "A* on mean cost")
     for name in TERRAIN_METRICS:
         np.testing.assert_array_equal(row(table, "blind")[name], on_mean_cost[name])
+
+
+def test_batches_are_timed_with_their_terrain() -> None:
+    """The first batch comes twice, each time with a copy of its own terrain."""
+    problems = tiles(70)
+    recording = RecordingInBatches([])
+    evaluate([recording], problems)
+    assert problems.terrain is not None
+    first, *batches = recording.batches
+    np.testing.assert_array_equal(first, batches[0])
+    np.testing.assert_array_equal(np.concatenate(batches), problems.terrain)
 
 
 def test_jump_point_search_on_terrain_is_refused() -> None:
