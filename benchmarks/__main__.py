@@ -10,6 +10,7 @@ from importlib import import_module
 from pathlib import Path
 
 from benchmarks.measure import to_markdown
+from mapdata.shards import write_output
 
 TABLES = {
     "labels": "all labels of a map beside naive Python, and how they grow",
@@ -97,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             tables="\n".join(texts),
             names=", ".join(TABLES),
         )
-        Path(options.write).write_text(page, encoding="utf-8")
+        write_output(options.write, page.encode())
 
 
 if __name__ == "__main__":

@@ -37,6 +37,7 @@ from mapdata.evaluation import score_paths
 from mapdata.models import CostPredictor
 from mapdata.models.cost_predictor import TRAINING_FIELDS
 from mapdata.search import BatchResult
+from mapdata.shards import write_output
 
 PAGE = Path(__file__).parent / "costs.md"
 BEGIN, END = "<!-- table -->", "<!-- end -->"
@@ -270,7 +271,7 @@ def write_page(rows: list[dict[str, Any]], page: Path = PAGE) -> None:
     """Write the table of the rows into the page, between its two marks."""
     before, rest = page.read_text().split(BEGIN)
     _, after = rest.split(END)
-    page.write_text(f"{before}{BEGIN}\n\n{table(rows)}\n\n{END}{after}")
+    write_output(page, f"{before}{BEGIN}\n\n{table(rows)}\n\n{END}{after}".encode())
 
 
 def main() -> None:
@@ -290,7 +291,7 @@ def main() -> None:
         if key in measured or arguments.only not in key[0]:
             continue
         rows.append(measure(*key))
-        arguments.file.write_text(json.dumps(rows, indent=1) + "\n")
+        write_output(arguments.file, f"{json.dumps(rows, indent=1)}\n".encode())
         shown = {k: v for k, v in rows[-1].items() if k not in ("generator", "movement", "set")}
         print(json.dumps(shown), flush=True)
     write_page(rows)

@@ -40,6 +40,7 @@ import pandas as pd
 import torch
 
 from mapdata import ProblemSet
+from mapdata.shards import write_output
 
 PACKAGES = ("mapdata-torch", "numpy", "numba", "torch")
 """Packages whose versions a run names."""
@@ -68,7 +69,10 @@ class Results:
         return cls(**document)
 
     def write(self, path: Path) -> None:
-        """Write the file, a line for each set, row and run, so that changes are easy to read."""
+        """Write the file, a line for each set, row and run, so that changes are easy to read.
+
+        An existing file is replaced as a whole: it may hold the results of days.
+        """
         sets = ",\n".join(
             f"{json.dumps(name)}: {json.dumps(self.sets[name])}" for name in self.sets
         )
@@ -78,7 +82,7 @@ class Results:
             f'{{"format_version": 1,\n"sets": {{\n{sets}\n}},\n'
             f'"rows": [\n{rows}\n],\n"runs": [\n{runs}\n]}}\n'
         )
-        path.write_text(text, encoding="utf-8")
+        write_output(path, text.encode())
 
     def add_set(self, name: str, problems: ProblemSet, **recipe: Any) -> None:
         """Describe a set; the rows of other problems under this name are dropped."""

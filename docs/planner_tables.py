@@ -44,6 +44,7 @@ from mapdata.models import GuidedSearch, NeuralAstar, PathPredictor, fast_precis
 from mapdata.models.evaluate import SHIPPED, load_weights
 from mapdata.models.mixed_batches import MixedBatches
 from mapdata.models.path_predictor import TRAINING_FIELDS
+from mapdata.shards import write_output
 
 DOCS = Path(__file__).parent
 BATCH = 64
@@ -672,7 +673,7 @@ def filled(page: str, tables: dict[str, str]) -> str:
 
 def write_pages(results: Results, folder: Path) -> None:
     """Write planner_tables.md, and the tables of planners.md, of a folder."""
-    (folder / "planner_tables.md").write_text(page_of_sets(results), encoding="utf-8")
+    write_output(folder / "planner_tables.md", page_of_sets(results).encode())
     page = folder / "planners.md"
     windows = [name for name in results.sets if re.search(r"(?<!-cut)-windows$", name)]
     tables = {
@@ -682,7 +683,7 @@ def write_pages(results: Results, folder: Path) -> None:
     for name in results.sets:
         if name not in SETS:
             tables[name] = short_table(results, name)
-    page.write_text(filled(page.read_text(encoding="utf-8"), tables), encoding="utf-8")
+    write_output(page, filled(page.read_text(encoding="utf-8"), tables).encode())
 
 
 def words_of(arguments: Sequence[str]) -> list[str]:

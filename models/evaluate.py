@@ -40,7 +40,7 @@ from matplotlib.figure import Figure
 from mapdata import PRESETS, evaluation
 from mapdata.cli import check_outputs, load_problems, run_parsed, write_table
 from mapdata.movement import Movement
-from mapdata.plotting import plot_planners
+from mapdata.plotting import plot_planners, write_figure
 
 from .command_line import run_named_command
 from .learned_planners import planners
@@ -134,7 +134,7 @@ def evaluate_planners(
         canvas = Figure(figsize=(7, 6), layout="constrained")
         subset = "hard" if problems.hard.any() else "all"
         plot_planners(table, canvas.add_subplot(), subset=subset)
-        canvas.savefig(figure, dpi=150)
+        write_figure(canvas, figure)
 
 
 def load_weights(file: str) -> PathPredictor | NeuralAstar:
@@ -195,7 +195,7 @@ def evaluate_samplers(
         plotted = table[table["sampler"].isin(PLOTTED)]
         subset = "hard" if problems.hard.any() else "all"
         plot_success(plotted, canvas.add_subplot(), subset)
-        canvas.savefig(figure, dpi=150)
+        write_figure(canvas, figure)
 
 
 def learned_samplers(folder: Path) -> dict[str, Sampler]:

@@ -209,7 +209,7 @@ def verify_command(root: list[str], *, repair: bool = False) -> None:
         for fault in faults:
             print(fault)
         unrepaired = list(faults)
-        if repair and faults:
+        if repair:
             unrepaired = repair_faults(findings, progress=True)
             for fault in unrepaired:
                 print(f"not repaired: {fault}")
@@ -219,8 +219,9 @@ def verify_command(root: list[str], *, repair: bool = False) -> None:
             print(f"{dataset}: no faults found")
         elif not unrepaired:
             print(f"{dataset}: {len(faults)} repaired")
+        for note in findings.notes:
+            print(f"note: {note}")
         if findings.unchecked:
-            print(f"note: {findings.unchecked}")
             requirement = " and its maps can be drawn (see the note)"
     if unrepaired_count and repair:
         raise DisagreeError(f"{unrepaired_count} of {fault_count} not repaired")
@@ -254,6 +255,7 @@ def show_command(
         figure: figure to draw
     """
     from mapdata.plotting.figures import SINGLE_MAP_FIGURES, WITH_GRID, plot_figure
+    from mapdata.plotting.plot import write_figure
 
     if output is None:
         output = unused_name("map.png")
@@ -269,9 +271,7 @@ def show_command(
     picture = plot_figure(
         root, figure, index=index or 0, paper_colours=paper_colours, progress=True
     )
-    # Without a format, matplotlib would add an ending to a name that has none.
-    picture_format = path.suffix[1:] or "png"
-    picture.savefig(path, format=picture_format, dpi=150, bbox_inches="tight")
+    write_figure(picture, path)
     print(f"wrote {output}")
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import os
 import re
 import shlex
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, TextIO, get_args, get_origin
@@ -22,6 +23,24 @@ if TYPE_CHECKING:
 
 Command = Callable[..., None]
 """A function that a command line calls: flags and help come from its signature and docstring."""
+
+
+_DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Errors of a full disk, of a quota that is used up, and of a file beyond a limit."""
+
+_DISK_ADVICE = "; free some room or choose another disk, and run the same command again"
+
+_INPUT_ARGUMENTS = ("root", "src", "source", "file")
+"""The arguments of commands that name what they read or build; a command has one of them."""
+
+_MEMORY_ADVICE = {
+    "build_command": "take fewer --workers or a smaller --shard-size, ",
+    "import_command": "take a smaller --shard-size, import fewer files at once, ",
+    "report_command": "take fewer --maps, ",
+    "evaluate_planners": "take fewer --maps, ",
+    "evaluate_samplers": "take fewer --maps, ",
+}
+"""What needs less memory, by the name of the function of a command."""
 
 
 class DisagreeError(Exception):
@@ -106,7 +125,8 @@ def _import_summary(root: str, manifest: Manifest) -> dict[str, str]:
 def run(command: Command, *, modules: Sequence[str] = (), **arguments: object) -> None:
     """Import ``modules``, call ``command`` and exit with 0, 1, 2 or, after Ctrl-C, 130.
 
-    An error that a user can correct is printed as one line instead of a traceback.
+    An error that a user can correct is printed as one line instead of a traceback. So is a lack of
+    memory or of room on the disk; the line says what to do.
     """
     try:
         with stoppable(), warnings.catch_warnings():
@@ -126,10 +146,30 @@ def run(command: Command, *, modules: Sequence[str] = (), **arguments: object) -
         if any(thread.name.startswith(THREADS) for thread in threading.enumerate()):
             leave()
         sys.exit(complain(STOPPED, EXIT_CODE))
+    except MemoryError as error:
+        sys.exit(complain(_memory_complaint(error, command, arguments), 2))
     except (DisagreeError, ValueError, OSError) as error:
         from mapdata.shards import ShardError  # slow to import, and only needed here
 
-        sys.exit(complain(error, 1 if isinstance(error, (DisagreeError, ShardError)) else 2))
+        code = 1 if isinstance(error, (DisagreeError, ShardError)) else 2
+        is_disk_full = isinstance(error, OSError) and error.errno in _DISK_FULL
+        sys.exit(complain(f"{error}{_DISK_ADVICE if is_disk_full else ''}", code))
+
+
+def _memory_complaint(error: MemoryError, command: Command, arguments: Mapping[str, object]) -> str:
+    """Return what the memory did not suffice for, and what to do."""
+    subject = ""
+    for name in _INPUT_ARGUMENTS:
+        files = arguments.get(name)
+        if files:
+            subject = f"{', '.join(files) if isinstance(files, list) else files}: "
+            break
+    reason = f" ({error})" if str(error) else ""
+    advice = _MEMORY_ADVICE.get(getattr(command, "__name__", ""), "")
+    return (
+        f"{subject}the memory does not suffice{reason}; {advice}end other programs, or take a "
+        "machine with more memory"
+    )
 
 
 class Parser(argparse.ArgumentParser):

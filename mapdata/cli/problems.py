@@ -75,8 +75,15 @@ def check_outputs(*files: str | None) -> None:
 
 
 def write_table(table: pd.DataFrame, csv: str | None, json: str | None) -> None:
-    """Write a table as a CSV file, a JSON file or both; None for a file that is not wanted."""
+    """Write a table as a CSV file, a JSON file or both; None for a file that is not wanted.
+
+    Raises:
+        OSError: the disk is full or may not be written to. The message names the file, which stays
+            as it was.
+    """
+    from mapdata.shards import write_output
+
     if csv is not None:
-        table.to_csv(csv, index=False)
+        write_output(csv, table.to_csv(index=False).encode())
     if json is not None:
-        table.to_json(json, orient="records", indent=1)
+        write_output(json, table.to_json(orient="records", indent=1).encode())

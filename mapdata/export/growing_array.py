@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
@@ -40,7 +41,11 @@ class GrowingArray:
         self._digest = hashlib.sha256()
         file.parent.mkdir(parents=True, exist_ok=True)
         self._stream: IO[bytes] = open(file, "wb")  # noqa: SIM115  (`close` closes it)
-        self._header_bytes = self._write_header()
+        try:
+            self._header_bytes = self._write_header()
+        except BaseException:
+            self.abort()
+            raise
 
     def append(self, rows: Array) -> None:
         """Append n rows, (n, ...); their numbers are cast to the type of the file.
@@ -70,8 +75,9 @@ class GrowingArray:
         self._stream.close()
 
     def abort(self) -> None:
-        """Close the file as it is, with a header that states no rows."""
-        self._stream.close()
+        """Close the file as it is, with a header that states no rows; no error is raised."""
+        with suppress(OSError):  # What is left in memory may not fit on the disk.
+            self._stream.close()
 
     def describe(self) -> dict[str, object]:
         """Return dtype, shape and the SHA-256 of the numbers, as plain values for JSON."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import NamedTuple
 
@@ -159,8 +160,11 @@ def _maze_rows(columns: Columns, *, with_path: bool) -> Bytes:
 def _write_hrm_index(folder: Path, count: int, map_size: Size) -> None:
     """Write which rows are one puzzle: here each row is a puzzle and a group of its own."""
     bounds = np.arange(count + 1, dtype=np.int32)
-    np.save(folder / "all__puzzle_indices.npy", bounds)
-    np.save(folder / "all__group_indices.npy", bounds)
+    # numpy's own writing into a file raises an error without a reason where the disk is full.
+    array_file = BytesIO()
+    np.save(array_file, bounds)
+    for name in ("all__puzzle_indices.npy", "all__group_indices.npy"):
+        (folder / name).write_bytes(array_file.getvalue())
     rows, columns = map_size
     metadata = {
         "seq_len": rows * columns,

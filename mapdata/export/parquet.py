@@ -7,6 +7,7 @@ features: https://huggingface.co/docs/datasets/about_dataset_features.
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,20 +72,25 @@ class ParquetWriter:
 
     def finish(self, counts: dict[str, int], map_size: Size) -> dict[str, Any]:
         """Complete all files; return the checksum of each, by its name."""
-        self.abort()
+        self._close_file()
         return {f"data/{name}": {"sha256": file_hash(self._folder / name)} for name in self._names}
 
     def abort(self) -> None:
-        """Close the file that is open."""
+        """Close the file that is open; no error is raised."""
+        with suppress(OSError):  # What is left in memory may not fit on the disk.
+            self._close_file()
+
+    def _close_file(self) -> None:
+        """Complete the file that is open, if any."""
         if self._file is not None:
-            self._file.close()
-            self._file = None
+            file, self._file = self._file, None
+            file.close()
 
     def _next_file(self, split: str, columns: Columns) -> None:
         """Open the next file of a split, with the schema of these columns."""
         from pyarrow import parquet
 
-        self.abort()
+        self._close_file()
         number = self._written[split] // self._rows_per_file
         files = -(-self._counts[split] // self._rows_per_file)
         name = f"{HUB_SPLITS[split]}-{number:05d}-of-{files:05d}.parquet"

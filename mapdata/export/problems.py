@@ -31,16 +31,13 @@ from mapdata.generators.generator import PRESETS, MapGenerator
 from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe
 from mapdata.generators.splits import maps_of_split
 from mapdata.hashing import json_hash
-from mapdata.limits import SPLITS
+from mapdata.limits import PROBLEM_FORMATS, SPLITS
 from mapdata.movement import Movement
 from mapdata.problems.sources import Random, Source, SourceLike, plain_text, problem_source
 from mapdata.shards.files import StrPath, new_output
 from mapdata.shards.locations import Locations, local_path
 from mapdata.shards.root import Root
 from mapdata.shards.workers import bar
-
-PROBLEM_FORMATS = ("arrays", "parquet", "maze-hard", *LAYOUTS)
-"""What `export_problems` writes."""
 
 DEFAULT_FIELDS = ("map", "start", "goal", "path", "cost")
 """The fields that are written unless the caller names others."""
@@ -162,10 +159,14 @@ def export_problems(
         folder.mkdir()
         writer = _writer(format, folder, options, parts)
         max_batch = LAYOUTS[format].max_batch if format in LAYOUTS else _MAX_BATCH
-        map_hashes, map_indices = _write(parts, writer, options.fields, max_batch, progress)
         counts = {part.split: part.count for part in parts}
-        statistics = {part.split: measure(part.dataset, count=part.count) for part in parts}
-        files = writer.finish(counts, dataset.map_size)
+        try:
+            map_hashes, map_indices = _write(parts, writer, options.fields, max_batch, progress)
+            statistics = {part.split: measure(part.dataset, count=part.count) for part in parts}
+            files = writer.finish(counts, dataset.map_size)
+        except BaseException:
+            writer.abort()
+            raise
         about = {
             "mapdata": __version__,
             "format": format,
@@ -518,22 +519,16 @@ def _write(
     hashes_of_batches: dict[str, list[Array]] = defaultdict(list)
     indices_of_batches: dict[str, list[Ints]] = defaultdict(list)
     total = sum(part.count for part in parts)
-    try:
-        with bar(progress, total, unit=" problems") as advance:
-            for part in parts:
-                for served in part.batches(max_batch):
-                    indices_of_batches[part.split].append(served["map_index"])
-                    columns = {name: served[name] for name in fields}
-                    writer.write(part.split, columns)
-                    if has_maps and len(parts) > 1:
-                        hashes = hash_grids(
-                            columns[map_field][:, 0], is_terrain=map_field == "terrain"
-                        )
-                        hashes_of_batches[part.split].append(np.array(hashes))
-                    advance(len(next(iter(columns.values()))))
-    except BaseException:
-        writer.abort()
-        raise
+    with bar(progress, total, unit=" problems") as advance:
+        for part in parts:
+            for served in part.batches(max_batch):
+                indices_of_batches[part.split].append(served["map_index"])
+                columns = {name: served[name] for name in fields}
+                writer.write(part.split, columns)
+                if has_maps and len(parts) > 1:
+                    hashes = hash_grids(columns[map_field][:, 0], is_terrain=map_field == "terrain")
+                    hashes_of_batches[part.split].append(np.array(hashes))
+                advance(len(next(iter(columns.values()))))
     map_hashes = {split: np.concatenate(hashes) for split, hashes in hashes_of_batches.items()}
     map_indices = {split: np.concatenate(numbers) for split, numbers in indices_of_batches.items()}
     return map_hashes, map_indices

@@ -26,7 +26,7 @@ class Writer(Protocol):
         """Complete all files; return what each holds, by its name, as plain values for JSON."""
 
     def abort(self) -> None:
-        """Close all files after an error; the folder is about to be removed."""
+        """Close all files after an error, and raise none; the folder is about to be removed."""
 
 
 class ArrayWriter:

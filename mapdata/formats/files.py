@@ -7,10 +7,12 @@ import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from PIL import Image
 
 from mapdata.arrays import Array, Bytes, Ints
 from mapdata.checks import check_count
@@ -204,6 +206,19 @@ def maps_to_write(target: Path, root: Root, progress: bool) -> Iterator[MapToWri
             folder.mkdir(parents=True, exist_ok=True)
             seed_points = maps.seed_points[k, : maps.rooms[k]]
             yield MapToWrite(folder / f"map{maps.index[k]}", grid, seed_points)
+
+
+def write_picture(path: Path, picture: Image.Image) -> None:
+    """Write a picture, in the file format that the ending of ``path`` names.
+
+    Pillow writes into memory: on a full disk its own writing raises errors without a reason.
+
+    Raises:
+        OSError: the disk is full or may not be written to.
+    """
+    content = BytesIO()
+    picture.save(content, format=Image.registered_extensions()[path.suffix.lower()])
+    path.write_bytes(content.getvalue())
 
 
 def to_occupancy(

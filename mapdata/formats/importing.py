@@ -44,7 +44,7 @@ from mapdata.shards.manifest import (
     provenance_text,
     read_manifest,
 )
-from mapdata.shards.merging import check_names, locked, merge_locked
+from mapdata.shards.merging import announced, check_names, locked, merge_locked
 from mapdata.shards.workers import Advance, bar, thread_pool
 
 RESOLUTION = 0.1
@@ -192,16 +192,17 @@ def import_maps(
             with locked(folder, wait=False) as is_free:
                 if not is_free:
                     raise ValueError(f"root: another process writes to {folder}; wait for its end")
-                dataset = _write(
-                    folder,
-                    plan,
-                    maps=kept_maps,
-                    splits=split_codes[separated.kept],
-                    draws=draws,
-                    origin=origin,
-                    advance=advance,
-                    pool=pool,
-                )
+                with announced(folder):
+                    dataset = _write(
+                        folder,
+                        plan,
+                        maps=kept_maps,
+                        splits=split_codes[separated.kept],
+                        draws=draws,
+                        origin=origin,
+                        advance=advance,
+                        pool=pool,
+                    )
             datasets.append(dataset)
     return datasets
 

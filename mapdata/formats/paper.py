@@ -51,7 +51,14 @@ from mapdata.arrays import Array, Flags, Ints
 from mapdata.checks import check_resolution
 from mapdata.describe.table import map_row
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import LIMITS, SPLIT_NAMES, Limits, check_file, files_below
+from mapdata.formats.files import (
+    LIMITS,
+    SPLIT_NAMES,
+    Limits,
+    check_file,
+    files_below,
+    write_picture,
+)
 from mapdata.formats.images import brightness, note_free_cells, read_pixels
 from mapdata.formats.registry import Format
 from mapdata.hashing import canonical_json
@@ -109,7 +116,7 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
             for k, grid in enumerate(labels.maps.occupancy):
                 row = map_row(labels, k, root.resolution) | {"movement": movement}
                 image = Image.fromarray(grid.view(np.bool_))  # bool gives a PNG of 1 bit a pixel
-                image.save(target / "images" / f"{row['label']}.png")
+                write_picture(target / "images" / f"{row['label']}.png", image)
                 if file.tell() == 0:
                     table.writerow(row.keys())
                 table.writerow(

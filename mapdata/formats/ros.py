@@ -53,6 +53,7 @@ from mapdata.formats.files import (
     percent,
     read_text,
     split_from_folders,
+    write_picture,
 )
 from mapdata.formats.images import (
     PICTURES,
@@ -757,7 +758,7 @@ def write(
     for stem, grid, _ in maps_to_write(target, root, progress):
         pixels = np.where(grid, 0, 254).astype(np.uint8)  # the greys of map_saver
         picture = stem.with_suffix(f".{image}")
-        Image.fromarray(pixels).save(picture)
+        write_picture(picture, Image.fromarray(pixels))
         stem.with_suffix(".yaml").write_text(
             f"image: {picture.name}\nmode: trinary\nresolution: {root.resolution!r}\n"
             "origin: [0.0, 0.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
@@ -75,6 +76,15 @@ class Maps:
     def __len__(self) -> int:
         """Return N, the number of maps."""
         return len(self.index)
+
+    def selected(self, positions: slice) -> Maps:
+        """Return some maps of the batch, as views of its arrays."""
+        arrays: dict[str, Any] = {
+            field.name: value[positions]
+            for field in fields(self)
+            if isinstance(value := getattr(self, field.name), np.ndarray)
+        }
+        return replace(self, **arrays)
 
     @cached_property
     def occupancy(self) -> Bytes:

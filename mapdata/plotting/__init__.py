@@ -13,6 +13,7 @@ from mapdata.plotting.plot import (
     plot_matrix,
     plot_path,
     plot_planners,
+    write_figure,
 )
 from mapdata.plotting.plot_models import plot_prediction, plot_roadmap, plot_sample
 
@@ -34,4 +35,5 @@ __all__ = [
     "plot_roadmap",
     "plot_sample",
     "report",
+    "write_figure",
 ]

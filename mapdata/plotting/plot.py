@@ -11,6 +11,8 @@ matplotlib is imported when a figure is drawn, since its import is slow.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,13 +21,15 @@ from numpy.typing import ArrayLike
 from mapdata.arrays import Array
 from mapdata.checks import check_choice
 from mapdata.plotting.mark_names import name_marks
+from mapdata.shards.files import StrPath, write_output
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
-    from matplotlib.path import Path
+    from matplotlib.path import Path as Outline
 
     from mapdata.search.labels import Labels
 
@@ -263,7 +267,7 @@ def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str 
     rows = table[table["subset"] == subset]
     colour = COLOURS["astar"]
     marks: dict[str, tuple[float, float]] = {}
-    bars: list[Path] = []
+    bars: list[Outline] = []
     for row in rows.to_dict("records"):
         x = row["expansion_ratio"]
         y = row["cost_ratio"]
@@ -416,6 +420,22 @@ def _seed_noun(labels: Labels, i: int) -> str:
     maps = labels.maps
     has_rooms = maps.passage_width[i] >= 0 or (maps.sizes[i] >= 0).any()
     return "room" if has_rooms else "seed point"
+
+
+def write_figure(figure: Figure, path: StrPath) -> None:
+    """Write a figure as a picture, in the file format that the ending of ``path`` names.
+
+    The picture is drawn in memory. So an existing file is replaced as a whole, or stays as it is if
+    the disk is full. Without an ending the format is PNG.
+
+    Raises:
+        ValueError: matplotlib knows no such format.
+        OSError: the disk is full or may not be written to; the message names the file.
+    """
+    picture = BytesIO()
+    picture_format = Path(path).suffix[1:] or "png"
+    figure.savefig(picture, format=picture_format, dpi=150, bbox_inches="tight")
+    write_output(path, picture.getvalue())
 
 
 def new_axes(rows: int = 1, columns: int = 1, size: tuple[float, float] = (6, 6.5)) -> list[Axes]:

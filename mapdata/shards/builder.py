@@ -13,8 +13,11 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from mapdata.checks import check_count, check_integers
 from mapdata.generators.generator import check_plain, unknown_family, why_not_drawn
+from mapdata.generators.maps import Maps, pack
 from mapdata.generators.recipe import (
     Recipe,
     RecipeLike,
@@ -25,14 +28,14 @@ from mapdata.generators.recipe import (
     is_same_map,
 )
 from mapdata.hashing import canonical_json
-from mapdata.search.labels import label
+from mapdata.search.labels import HighCostError, Labels, label
 from mapdata.shards.errors import ShardError
 from mapdata.shards.files import StrPath, file_hash, file_size, make_folder, write_file
 from mapdata.shards.header import Header, Span
 from mapdata.shards.image import shard_image
 from mapdata.shards.locations import target_folder
 from mapdata.shards.manifest import MANIFEST, Entry, Manifest, entry_of, path_in, read_manifest
-from mapdata.shards.merging import check_names, load_shard, merge, sweep, union
+from mapdata.shards.merging import announced, check_names, load_shard, merge, sweep, union
 from mapdata.shards.reader import map_shard, open_shard, sound_labels
 from mapdata.shards.workers import (
     MAX_PENDING_IN_THREADS,
@@ -48,6 +51,9 @@ _MIN_MERGE_PAUSE = 2.0
 
 _PAUSE_PER_MERGE_TIME = 20
 """A pause also lasts this many times as long as the last write, which grows with the manifest."""
+
+_FIRST_MAPS = 8
+"""How many maps with terrain are labelled before a build, to see whether costs are too high."""
 
 _MAX_PENDING_IN_EXECUTOR = 10_000
 """How many shards an executor holds at once, at most: enough to keep a large cluster busy."""
@@ -95,7 +101,9 @@ def build(
         ShardError: the recipe states another content hash.
         ValueError: an argument is invalid; the root is a URL or a file, or holds other files; it
             holds a dataset of another recipe or shard size, or one with more maps; the family of a
-            user does not draw the same map twice.
+            user does not draw the same map twice; the costs of most maps are too high to be exact
+            (a single map whose costs are too high is stored without problems, and a warning names
+            it).
         OSError: the disk is full, or the folder may not be written to.
     """
     recipe = as_recipe(recipe, maps=maps, seed=seed)
@@ -139,6 +147,8 @@ def _build_shards(
     assigned = _assigned_headers(planned, part)
     check_plain(generator)
     check_reproducible(recipe)
+    if not (root / MANIFEST).exists():
+        _check_first_costs(recipe)
     existing = _create_root(root, planned)
     present = _check_present(
         root, planned, existing, {header.limits for header in assigned}, progress
@@ -161,6 +171,7 @@ def _build_shards(
     map_count = sum(header.maps for header in assigned)
     missing_count = sum(header.maps for header in missing)
     with (
+        announced(root),
         bar(progress, map_count, initial=map_count - missing_count) as advance,
         _shard_pool(workers, executor) as pool,
     ):
@@ -175,7 +186,7 @@ def _build_shards(
         with closing(_built_entries(pool, build_entry, missing, max_pending)) as built:
             entries = built if executor is None else _check_shared_folder(root, built, advance)
             manifest = _merge_while_building(root, manifest, entries)
-    return _list_finished(root, manifest)
+        return _list_finished(root, manifest)
 
 
 def _check_workers(workers: int | None, executor: Executor | None) -> None:
@@ -326,10 +337,87 @@ def build_shard(
     if header.generator is None or header.seed is None:
         raise ValueError("imported maps cannot be made again: they have no recipe")
     maps = generate(header.generator, header.seed, range(header.start, header.stop))
-    labels = label(maps, advance)
+    labels = _label_exactly(maps, advance)
     image, content = shard_image(labels, header)
     write_file(root / header.file_name, image)
     return entry_of(header, content, labels, image)
+
+
+def _label_exactly(maps: Maps, advance: Advance) -> Labels:
+    """Return the labels of maps; those with costs that are too high get no problems.
+
+    Only few maps of a dataset are so, since `_check_first_costs` refuses others. Such a map would
+    otherwise stop a build after hours.
+
+    Args:
+        maps: the maps.
+        advance: called with the number of maps that were finished since its last call.
+    """
+    finished = 0
+
+    def count(number: int) -> None:
+        nonlocal finished
+        finished += number
+        advance(number)
+
+    try:
+        return label(maps, count)
+    except HighCostError:
+        costly = _costly_rows(maps)
+    for row, error in costly.items():
+        warnings.warn(
+            f"map {maps.index[row]}: {error.complaint}; it is stored with a single free cell, and "
+            "has no problems",
+            stacklevel=2,
+        )
+    labels = label(_without_problems(maps, list(costly)))
+    advance(len(maps) - finished)
+    return labels
+
+
+def _costly_rows(maps: Maps) -> dict[int, HighCostError]:
+    """Return the rows of the maps whose costs are too high to be exact, each with its error."""
+    costly = {}
+    for row in range(len(maps)):
+        try:
+            label(maps.selected(slice(row, row + 1)))
+        except HighCostError as error:
+            costly[row] = error
+    return costly
+
+
+def _without_problems(maps: Maps, rows: list[int]) -> Maps:
+    """Return maps of which ``rows`` have no free cell but their first seed point.
+
+    Maps of obstacles alone are drawn so, too (docs/format.md).
+    """
+    assert maps.terrain is not None
+    grids = maps.occupancy.copy()
+    terrain = maps.terrain.copy()
+    rooms = maps.rooms.copy()
+    seed_points = maps.seed_points.copy()
+    sizes = maps.sizes.copy()
+    directions = maps.directions.copy()
+    for row in rows:
+        row_index, column = seed_points[row, 0]
+        cost = terrain[row, row_index, column]
+        grids[row] = 1
+        terrain[row] = 0
+        grids[row, row_index, column] = 0
+        terrain[row, row_index, column] = cost
+        rooms[row] = 1
+        seed_points[row, 1:] = -1
+        sizes[row, 1:] = -1
+        directions[row] = -1
+    return replace(
+        maps,
+        packed=pack(grids),
+        rooms=rooms,
+        seed_points=seed_points,
+        sizes=sizes,
+        directions=directions,
+        terrain=terrain,
+    )
 
 
 def _built_entries(
@@ -491,14 +579,38 @@ def _check_drawn_as_stored(root: Path, existing: Manifest, recipe: Recipe) -> No
             stored = sound_labels(open_shard(path_in(root, entry.name))).maps
         except (ShardError, FileNotFoundError):
             continue  # The build replaces a damaged shard.
-        number = int(stored.index[0])
-        if not is_same_map(stored, 0, generate(recipe, indices=[number]), 0):
+        drawn_rows = np.flatnonzero(stored.rooms > 1)  # Costly maps are not stored as drawn.
+        if len(drawn_rows) == 0:
+            continue
+        k = int(drawn_rows[0])
+        number = int(stored.index[k])
+        if not is_same_map(stored, k, generate(recipe, indices=[number]), 0):
             raise ValueError(
                 f"root: {root} cannot be continued: {recipe.generator.name} draws another map "
                 f"{number} than the stored one, so its draw has changed since; build into another "
                 "folder, or register the changed family under another name"
             )
         return
+
+
+def _check_first_costs(recipe: Recipe) -> None:
+    """Refuse a generator whose costs are often too high, before anything is built.
+
+    The first maps are labelled. Where few maps are so, the build goes on without their problems.
+
+    Raises:
+        ValueError: half of these maps, or more, have a cost that is too high to be exact.
+    """
+    if not recipe.generator.has_terrain:
+        return
+    maps = generate(recipe, indices=range(min(recipe.maps, _FIRST_MAPS)))
+    costly = _costly_rows(maps)
+    if 2 * len(costly) >= len(maps):
+        row, error = next(iter(costly.items()))
+        raise ValueError(
+            f"{recipe.generator.name}: {len(costly)} of the first {len(maps)} maps have costs that "
+            f"are too high: map {maps.index[row]}: {error.complaint}"
+        )
 
 
 def _facts(manifest: Manifest) -> dict[str, object]:

@@ -37,13 +37,23 @@ from mapdata.shards.manifest import (
     path_in,
     provenance_text,
 )
-from mapdata.shards.merging import checked_entry, is_known, load_shard, merge, union
+from mapdata.shards.merging import (
+    checked_entry,
+    is_growing,
+    is_known,
+    load_shard,
+    merge,
+    sweep,
+    union,
+)
 from mapdata.shards.reader import check_terrain, map_shard, sound_labels
 from mapdata.shards.workers import bar, completed, thread_pool
 
 _NOT_OURS = "no file of this dataset: keep it elsewhere"
 
-_REPLACED = "replaced by a shard of more maps: the next build removes it"
+_NOT_FINISHED = "missing (the build did not finish)"
+
+_REPLACED = "replaced by a shard of more maps: the next build or repair removes it"
 
 
 def _unlisted_text(generator: MapGenerator | None) -> str:
@@ -81,12 +91,15 @@ class Inspection:
         location: its folder or URL.
         manifest: its manifest. If that is damaged, a manifest that was gathered from the sound
             shards; None if there is none.
-        faults: in the order of the maps.
+        faults: in the order of the maps. While a process adds shards, those that it has not listed
+            or not finished yet are no faults.
+        growing: what a running build or import has finished so far, on one line; None if none runs.
     """
 
     location: str
     manifest: Manifest | None
     faults: tuple[Corruption, ...]
+    growing: str | None = None
 
     @property
     def unchecked(self) -> str | None:
@@ -99,13 +112,19 @@ class Inspection:
             f"{why_not_drawn(unknown)}"
         )
 
+    @property
+    def notes(self) -> list[str]:
+        """What a user should know although it is no fault, a line each."""
+        return [note for note in (self.unchecked, self.growing) if note is not None]
+
 
 def verify(root: Locations, *, progress: bool = False) -> list[str]:
     """Return what is wrong with a dataset, one line per fault; an empty list if nothing is.
 
     Every file is checked and hashed, and its content hash is computed again. If the maps are of a
     family whose module is not imported, all is checked but the family's own parameters, and a
-    warning says so.
+    warning says so. While a build or import of the dataset is running, what it has finished is
+    checked, and a warning says how much that is.
 
     Args:
         root: folder or URL of a dataset, or several.
@@ -118,14 +137,15 @@ def verify(root: Locations, *, progress: bool = False) -> list[str]:
     for location in locations(root):
         inspection = inspect(location, progress=progress)
         faults += [str(fault) for fault in inspection.faults]
-        if inspection.unchecked:
-            warnings.warn(inspection.unchecked, stacklevel=2)
+        for note in inspection.notes:
+            warnings.warn(note, stacklevel=2)
     return faults
 
 
 def repair(root: Locations, *, progress: bool = False) -> list[str]:
     """Repair what `verify` finds damaged or missing; return the faults that remain.
 
+    Temporary files of killed writers, and shards that were replaced by longer ones, are removed.
     Imported maps have no recipe, so their shards cannot be built again. Maps of a family can be
     built again if its module is imported.
 
@@ -154,6 +174,47 @@ def inspect(location: StrPath, *, progress: bool = False) -> Inspection:
         DatasetNotFoundError: there is no dataset.
     """
     (location,) = locations(location)
+    was_growing = not is_url(location) and is_growing(Path(location))
+    inspection = _inspect(location, progress)
+    # A build may have begun, or ended, during the inspection.
+    if was_growing or (not is_url(location) and is_growing(Path(location))):
+        return _without_unfinished(inspection)
+    return inspection
+
+
+def _without_unfinished(inspection: Inspection) -> Inspection:
+    """Return an inspection without the faults that the end of a running build or import mends.
+
+    Shards that were finished or replaced meanwhile are no faults either.
+    """
+    location = inspection.location
+    manifest = inspection.manifest
+    if manifest is None:
+        return inspection
+    with suppress(ShardError, DatasetNotFoundError):  # It stays a fault.
+        manifest = load_manifest(location)
+    stop_by_start = {entry.start: entry.stop for entry in manifest.shards}
+
+    def is_replaced(header: Header | None) -> bool:
+        return header is not None and stop_by_start.get(header.start, 0) > header.stop
+
+    passing = (_NOT_FINISHED, _REPLACED, _unlisted_text(manifest.generator))
+    faults = tuple(
+        fault
+        for fault in inspection.faults
+        if fault.description not in passing and not is_replaced(fault.header)
+    )
+    planned = planned_headers(manifest)
+    finished = sum((Path(location) / header.file_name).exists() for header in planned)
+    growing = (
+        f"{location}: a build or import is running, {finished:,} of {len(planned):,} shards are "
+        "finished; verify again when it has ended"
+    )
+    return replace(inspection, manifest=manifest, faults=faults, growing=growing)
+
+
+def _inspect(location: str, progress: bool) -> Inspection:
+    """Check every file of a dataset, as if nothing else were running; see `inspect`."""
     try:
         manifest = load_manifest(location)
     except (ShardError, DatasetNotFoundError) as error:
@@ -192,6 +253,8 @@ def _inspect_without_manifest(
 def repair_faults(inspection: Inspection, *, progress: bool = False) -> list[Corruption]:
     """Repair the files that can be repaired; return the faults that remain.
 
+    What killed writers left is removed, also if nothing has a fault.
+
     Raises:
         ValueError: the dataset lies at a URL.
         OSError: the disk is full, or the folder may not be written to.
@@ -218,6 +281,8 @@ def repair_faults(inspection: Inspection, *, progress: bool = False) -> list[Cor
             manifest_is_damaged = True
         elif fault.path.endswith(PROVENANCE):
             remaining.append(_ask_for_import(fault))
+        elif fault.description == _REPLACED:
+            continue  # `sweep` removes it.
         else:
             remaining.append(fault)
     repaired_entries, shard_faults = _repair_shards(root, manifest, repairable, progress)
@@ -229,6 +294,11 @@ def repair_faults(inspection: Inspection, *, progress: bool = False) -> list[Cor
         write_file(root / MANIFEST, union(repaired, manifest).to_json().encode())
     elif repaired_entries:
         merge(root, repaired)
+    if os.access(root, os.W_OK):
+        # A shard is removed only if the longer one that replaces it is sound.
+        unsound = {fault.path for fault in remaining}
+        sound = tuple(entry for entry in manifest.shards if str(root / entry.name) not in unsound)
+        sweep(root, replace(manifest, shards=sound))
     return remaining
 
 
@@ -350,7 +420,7 @@ def _check_planned_shards(location: str, manifest: Manifest, is_listed: bool) ->
     See `_check_files` for the arguments.
     """
     listed_names = {entry.name for entry in manifest.shards}
-    missing = "missing (the build did not finish)" if is_listed else "missing"
+    missing = _NOT_FINISHED if is_listed else "missing"
     faults = []
     for header in planned_headers(manifest):
         name = header.file_name

@@ -34,29 +34,55 @@ def write_file(path: Path, content: bytes) -> None:
     A link of this name is replaced, not followed.
 
     Raises:
-        OSError: the disk is full or not writable; no temporary file remains.
+        OSError: the disk is full or not writable. The error names ``path``; no temporary file
+            remains.
     """
     temporary = temporary_path(path)
-    try:
-        with open(temporary, "xb") as file:
-            take_lock(file)  # shows other processes that the writer is alive
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except FileNotFoundError:
-        if not path.parent.is_dir():
+    with naming(path, unfinished=temporary):
+        try:
+            with open(temporary, "xb") as file:
+                take_lock(file)  # shows other processes that the writer is alive
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+        except FileNotFoundError:
+            if not path.parent.is_dir():
+                raise
+            # Another process removed the temporary file while it had no lock: just after it was
+            # created, just after it was closed, or on a file system without locks.
+            write_file(path, content)
+        except BaseException:
+            with suppress(OSError):  # The first error is the one to report.
+                temporary.unlink(missing_ok=True)
             raise
-        # Another process removed the temporary file while it had no lock: just after it was
-        # created, just after it was closed, or on a file system without locks.
-        write_file(path, content)
-    except BaseException as error:
-        temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError) and error.errno and error.filename is None:
-            # An error of writing bytes, as on a full disk, does not name the file.
-            raise OSError(error.errno, error.strerror, str(path)) from None
-        raise
-    sync_folder(path.parent)
+        sync_folder(path.parent)
+
+
+@contextmanager
+def naming(target: Path, *, unfinished: Path) -> Iterator[None]:
+    """Let each `OSError` of this block name a file that the user knows.
+
+    An error of writing bytes, as on a full disk, names no file, and other errors may name a
+    temporary file. Such errors name ``target`` instead. Errors of other files stay as they are.
+
+    Args:
+        target: the file or folder that the block writes.
+        unfinished: its temporary path.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None:  # It has a text of its own, such as that of a lost connection.
+            raise
+        name = target
+        if error.filename is not None:
+            failed = Path(os.fsdecode(error.filename))
+            if not failed.is_relative_to(unfinished):
+                raise
+            inside = failed.relative_to(unfinished)
+            name = target if inside == Path(_FOLDER_LOCK) else target / inside
+        raise OSError(error.errno, error.strerror, str(name)) from None
 
 
 def write_output(path: StrPath, content: bytes) -> None:
@@ -71,7 +97,8 @@ def write_output(path: StrPath, content: bytes) -> None:
     target = Path(path)
     is_device = target.exists() and not target.is_file()
     if is_device:
-        target.write_bytes(content)
+        with naming(target, unfinished=target):
+            target.write_bytes(content)
     else:
         target = Path(os.path.realpath(path))
         sweep_temporaries(target.parent)
@@ -143,19 +170,42 @@ def temporary_folder(target: Path) -> Iterator[Path]:
         OSError: it cannot be created.
     """
     folder = temporary_path(target)
-    folder.mkdir()
-    try:
-        lock = folder / _FOLDER_LOCK
-        with open(lock, "xb") as file:
-            take_lock(file, wait=True)  # shows other processes that the writer is alive
-            if lock.exists():
-                yield folder
-                return
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    lock = folder / _FOLDER_LOCK
+    with naming(target, unfinished=folder):
+        folder.mkdir()
+        try:
+            with ExitStack() as stack:
+                is_locked = False
+                with suppress(FileNotFoundError):  # Another process may have removed the folder.
+                    file = stack.enter_context(open(lock, "xb"))
+                    take_lock(file, wait=True)  # shows other processes that the writer is alive
+                    is_locked = lock.exists()
+                if is_locked:
+                    yield folder
+                    return
+        finally:
+            with suppress(OSError):
+                _remove_folder(folder)
     # Another process removed the folder before it was locked.
     with temporary_folder(target) as folder:
         yield folder
+
+
+def _remove_folder(folder: Path) -> None:
+    """Remove a temporary folder, last the file that says whether its writer lives.
+
+    So the next writer can remove what is left if this process is killed meanwhile.
+
+    Raises:
+        OSError: something in it cannot be removed.
+    """
+    for entry in list(os.scandir(folder)):
+        if entry.is_dir(follow_symlinks=False):
+            shutil.rmtree(entry)
+        elif entry.name != _FOLDER_LOCK:
+            os.unlink(entry)
+    (folder / _FOLDER_LOCK).unlink(missing_ok=True)
+    folder.rmdir()
 
 
 @contextmanager
@@ -169,7 +219,8 @@ def new_output(target: Path) -> Iterator[Path]:
 
     Raises:
         FormatError: the target is a link or holds something, before the block or after it.
-        OSError: the disk is full or may not be written to.
+        OSError: the disk is full or may not be written to; the message names the target, or a file
+            in it.
     """
     if target.name in ("", ".."):
         raise FormatError(f"{target}: expected the name of the file or folder to write")
@@ -178,11 +229,12 @@ def new_output(target: Path) -> Iterator[Path]:
     sweep_temporaries(target.parent)
     with temporary_folder(target) as folder:
         unfinished = folder / "output"
-        yield unfinished
-        _check_unused(target)  # another program may have written it meanwhile
-        if target.is_dir():
-            target.rmdir()  # it is empty; a file cannot replace a folder
-        os.replace(unfinished, target)
+        with naming(target, unfinished=unfinished):
+            yield unfinished
+            _check_unused(target)  # another program may have written it meanwhile
+            if target.is_dir():
+                target.rmdir()  # it is empty; a file cannot replace a folder
+            os.replace(unfinished, target)
 
 
 def _check_unused(target: Path) -> None:
@@ -214,6 +266,13 @@ def take_lock(file: IO[bytes], wait: bool = False) -> bool:
     return True
 
 
+def is_locked(path: Path) -> bool:
+    """Return whether a process has a lock on a file; False if there is no file, or are no locks."""
+    with suppress(OSError), open(path, "rb") as file:
+        return not take_lock(file)
+    return False
+
+
 def sweep_temporaries(folder: Path) -> None:
     """Remove from ``folder`` the temporary files and folders of mapdata whose writers are dead."""
     with suppress(OSError):  # The folder may not exist, or may not be listed.
@@ -231,6 +290,12 @@ def remove_if_abandoned(path: Path) -> None:
     """
     if path.is_symlink() or not (path.is_file() or path.is_dir()):
         return
+    if path.is_dir():
+        # An empty folder has no lock: its writer was killed just after creating it, or just before
+        # removing it. A living writer that is about to lock it takes another folder.
+        with suppress(OSError):  # It is not empty.
+            path.rmdir()
+            return
     lock = path / _FOLDER_LOCK if path.is_dir() else path
     # Another process may remove the file first, and the file may belong to another user.
     with suppress(OSError), ExitStack() as stack:
@@ -247,6 +312,6 @@ def remove_if_abandoned(path: Path) -> None:
             # The lock is kept meanwhile: a writer that has just created the file may be about to
             # lock it.
             if path.is_dir():
-                shutil.rmtree(path)
+                _remove_folder(path)
             else:
                 path.unlink()

@@ -11,7 +11,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from mapdata.shards.errors import ShardError
-from mapdata.shards.files import remove_if_abandoned, take_lock, write_file
+from mapdata.shards.files import (
+    is_locked,
+    naming,
+    remove_if_abandoned,
+    take_lock,
+    temporary_path,
+    write_file,
+)
 from mapdata.shards.header import Header, is_shard_name, limits_of
 from mapdata.shards.manifest import MANIFEST, Entry, Manifest, entry_of, path_in, read_manifest
 from mapdata.shards.reader import open_shard, sound_labels
@@ -76,6 +83,41 @@ def locked(root: Path, wait: bool) -> Iterator[bool]:
             # Closing the file is not enough: a process that was forked meanwhile shares the lock.
             with suppress(OSError):
                 fcntl.flock(file, fcntl.LOCK_UN)
+
+
+@contextmanager
+def announced(root: Path) -> Iterator[None]:
+    """Show other processes that this one adds shards to a root, until the block ends.
+
+    The sign is a temporary file of the manifest that stays locked. So a killed process shows
+    nothing, and the next one removes the file.
+
+    Raises:
+        OSError: the disk is full or may not be written to.
+    """
+    path = temporary_path(root / MANIFEST)
+    with naming(root / MANIFEST, unfinished=path), open(path, "xb") as file:
+        try:
+            take_lock(file, wait=True)
+            if path.exists():
+                yield
+                return
+        finally:
+            path.unlink(missing_ok=True)
+    # Another process removed the file before it was locked.
+    with announced(root):
+        yield
+
+
+def is_growing(root: Path) -> bool:
+    """Return whether a living process adds shards to a root.
+
+    Where there are no locks, nobody can tell, and this returns False.
+    """
+    return any(
+        re.fullmatch(_TEMPORARY_NAMES, path.name) and path.is_file() and is_locked(path)
+        for path in root.glob(".*.tmp")
+    )
 
 
 def merge(root: Path, mine: Manifest, *, wait: bool = True) -> Manifest:

@@ -19,6 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 from helpers.builds import MAPS, SEED, SIZE, SPEC, make, shard_name, stamps, unprivileged_folder
 from helpers.families import forget, write_module
@@ -457,6 +458,72 @@ def test_build_says_when_its_folder_has_the_name_of_a_preset(
     code, out, _ = run("build", "maze", "--maps", 2, "--preset", "tiles")
     assert code == 0
     assert "note:" not in out
+
+
+@pytest.mark.parametrize(
+    ("verb", "patched", "advice"),
+    [
+        (
+            "build",
+            "mapdata.shards.builder.label",
+            "take fewer --workers or a smaller --shard-size, ",
+        ),
+        ("show", "mapdata.plotting.figures.plot_map", ""),
+    ],
+)
+def test_a_lack_of_memory_is_one_line(
+    verb: str,
+    patched: str,
+    advice: str,
+    run: Command,
+    copied: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It names the dataset, what could not be allocated and what to do; the dataset stays."""
+
+    def fail(*_: object, **__: object) -> None:
+        np.empty((2**45, 2**10), np.uint8)
+
+    before = stamps(copied)
+    monkeypatch.setattr(patched, fail)
+    recipe = json.dumps({"spec": SPEC.to_dict()})
+    more = ("--recipe", recipe, "--seed", SEED, "--shard-size", SIZE, "--maps", 2 * MAPS)
+    outcome = run(verb, copied, *(more if verb == "build" else ("-o", copied / "map.png")))
+    assert outcome.code == 2
+    assert "Traceback" not in outcome.err
+    assert outcome.err.splitlines()[-1] == (
+        f"mapdata: {copied}: the memory does not suffice (Unable to allocate 32.0 PiB for an array "
+        f"with shape (35184372088832, 1024) and data type uint8); {advice}end other programs, or "
+        "take a machine with more memory"
+    )
+    assert stamps(copied) == before
+
+
+HELP = """
+import io, sys
+from contextlib import redirect_stdout
+from mapdata.cli.app import VERBS, main
+
+for arguments in (["--help"], *([verb, "--help"] for verb in VERBS)):
+    try:
+        with redirect_stdout(io.StringIO()) as text:
+            main(arguments)
+    except SystemExit:
+        pass
+    assert "usage: mapdata" in text.getvalue()
+    print(*arguments, *(name for name in ("torch", "matplotlib", "pandas") if name in sys.modules))
+"""
+
+
+@pytest.mark.slow
+def test_no_help_imports_what_takes_seconds() -> None:
+    """All helps in one process of its own, since this one has imported everything."""
+    done = subprocess.run(
+        [sys.executable, "-c", HELP], capture_output=True, text=True, check=False, cwd=HOME
+    )
+    assert done.returncode == 0, done.stderr
+    lines = ["--help", *(f"{verb} --help" for verb in cli.VERBS)]
+    assert done.stdout.splitlines() == lines
 
 
 def test_the_help_of_build_names_all_presets(run: Command) -> None:

@@ -6,15 +6,27 @@ import hashlib
 import os
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from random import Random
 from typing import Any
 
 import h5py
 import pytest
-from helpers.builds import MAPS, SIZE, make, names, restated, shard_name, stamps
+from helpers.builds import (
+    MAPS,
+    SIZE,
+    InTheCaller,
+    listing,
+    make,
+    names,
+    restated,
+    shard_name,
+    stamps,
+)
 from helpers.grids import random_grids
 from helpers.imported import collection
 
@@ -22,7 +34,10 @@ import mapdata
 from mapdata import DatasetNotFoundError, repair, verify
 from mapdata.cli import main
 from mapdata.formats import import_maps
-from mapdata.shards import MANIFEST, PROVENANCE, read_manifest
+from mapdata.shards import MANIFEST, PROVENANCE, Manifest, corruption, read_manifest
+from mapdata.shards.dataset_files import load_manifest
+from mapdata.shards.files import temporary_path
+from mapdata.shards.merging import announced
 
 
 @pytest.fixture
@@ -258,7 +273,7 @@ def test_finished_shards_of_a_killed_extension_are_no_strange_files(
 ) -> None:
     """The build that goes on lists them as they are, and removes the partial shard."""
     make(tmp_path / "larger", maps=18)
-    partial = (copied / shard_name(8, 11)).read_bytes()
+    shorter = (copied / shard_name(8, 11)).read_bytes()
     more = [shard_name(8, 12), shard_name(12, 16), shard_name(16, 18)]
     for name in more:
         shutil.copy(tmp_path / "larger" / name, copied)
@@ -269,15 +284,99 @@ def test_finished_shards_of_a_killed_extension_are_no_strange_files(
     make(copied, maps=18)
     assert {name: before[name] for name in more} == {name: stamps(copied)[name] for name in more}
     assert verify(copied) == []
-    (copied / shard_name(8, 11)).write_bytes(partial)
-    assert verify(copied) == [
-        f"{copied / shard_name(8, 11)}: replaced by a shard of more maps: the next build removes it"
-    ]
-    make(copied, maps=18)
-    assert verify(copied) == []
+    replaced = copied / shard_name(8, 11)
+    for remove in (partial(make, copied, 18), partial(repair, copied)):
+        replaced.write_bytes(shorter)
+        assert verify(copied) == [
+            f"{replaced}: replaced by a shard of more maps: the next build or repair removes it"
+        ]
+        remove()
+        assert not replaced.exists()
+        assert verify(copied) == []
+
+
+# --- a running build ------------------------------------------------------------------------------
+
+
+class Watched(InTheCaller):
+    """Builds in the caller, and does something whenever a shard is finished."""
+
+    def __init__(self, look: Callable[[], object]) -> None:
+        """Keep what is done."""
+        self.look = look
+
+    def submit(
+        self, function: Callable[..., Any], /, *arguments: object, **options: object
+    ) -> Future[Any]:
+        """Build a shard."""
+        future = super().submit(function, *arguments, **options)
+        self.look()
+        return future
+
+
+def test_what_a_running_build_has_not_finished_is_no_fault(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is there is checked, and a note says how much that is; damage is named as always."""
+    root = tmp_path / "maps"
+    seen: list[list[str]] = []
+
+    def look() -> None:
+        with pytest.warns(
+            UserWarning, match=f"is running, {len(seen) + 1} of 3 shards are finished"
+        ):
+            seen.append(verify(root))
+        main(["verify", str(root)])
+        assert f"{root}: no faults found\nnote: {root}: a build or" in capsys.readouterr().out
+        first = root / shard_name(0, 4)
+        sound = first.read_bytes()
+        first.write_bytes(sound[:-1])
+        with pytest.warns(UserWarning, match="is running"):
+            (fault,) = verify(root)
+        assert str(first) in fault
+        first.write_bytes(sound)
+
+    make(root, executor=Watched(look), workers=None)
+    assert seen == [[], [], []]
+    assert verify(root) == []
+    assert not list(root.glob(".*.tmp"))
+
+
+def test_a_replaced_shard_is_no_fault_of_a_running_build(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The manifest that was read first lists the short shard, which is gone when its turn comes."""
+    root = tmp_path / "maps"
+    make(root)
+    read = load_manifest
+    extended: list[Path] = []
+
+    def load_old_manifest(location: str) -> Manifest:
+        manifest = read(location)
+        if not extended:
+            extended.append(root)
+            make(root, 18)
+        return manifest
+
+    monkeypatch.setattr(corruption, "load_manifest", load_old_manifest)
+    with announced(root), pytest.warns(UserWarning, match="is running, 5 of 5"):
+        assert verify(root) == []
 
 
 # --- repair -------------------------------------------------------------------------------------
+
+
+def test_repair_removes_what_killed_writers_left(
+    copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also where no file has a fault."""
+    before = listing(copied)
+    for name in (MANIFEST, shard_name(0, 4)):
+        temporary_path(copied / name).write_bytes(b"half a file")
+    assert verify(copied) == []
+    main(["verify", str(copied), "--repair"])
+    assert capsys.readouterr().out == f"{copied}: no faults found\n"
+    assert listing(copied) == before
 
 
 def flipped(path: Path, dataset: str) -> bytes:

@@ -6,7 +6,9 @@ import errno
 import fcntl
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -76,16 +78,76 @@ def test_links_and_pipes_are_left_alone(tmp_path: Path) -> None:
     assert (tmp_path / "export" / "lock").exists()
 
 
-def test_a_folder_that_was_just_made_is_left_alone(tmp_path: Path) -> None:
-    """Its writer is about to make the lock; after a day without one it is dead."""
-    folder = temporary_path(tmp_path / "export")
-    folder.mkdir()
+def test_a_kill_at_any_step_leaves_nothing_that_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each state that a writer's folder goes through, without its lock, is swept: that is what a
+    killed writer leaves.
+    """
+    home = tmp_path / "home"
+    home.mkdir()
+    states: list[Path] = []
+    copying: list[bool] = []
+
+    def watched(true_function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            if not copying:
+                copying.append(True)
+                shutil.copytree(home, tmp_path / f"state {len(states)}")
+                states.append(tmp_path / f"state {len(states)}")
+                copying.clear()
+            return true_function(*arguments, **options)
+
+        return call
+
+    with monkeypatch.context() as patch:
+        for name in ("mkdir", "unlink", "rmdir", "scandir"):
+            patch.setattr(os, name, watched(getattr(os, name)))
+        patch.setattr("builtins.open", watched(open))
+        with temporary_folder(home / "export") as folder:
+            (folder / "output" / "train").mkdir(parents=True)
+            for number in range(3):
+                (folder / "output" / "train" / f"map{number}.png").write_bytes(b"picture")
+            (folder / "notes").write_bytes(b"note")
+    assert list(home.iterdir()) == []
+    left = {len([*state.rglob("*")]) for state in states}
+    assert left >= {0, 1, 2, 8}
+    for state in states:
+        sweep_temporaries(state)
+        assert list(state.iterdir()) == []
+
+
+def test_a_folder_whose_lock_is_lost_stays_for_a_day(tmp_path: Path) -> None:
+    """Nothing says that its writer is dead, but its age."""
+    folder = leave_folder(tmp_path / "export")
+    (folder / "lock").unlink()
     sweep_temporaries(tmp_path)
     assert folder.exists()
     old = folder.stat().st_mtime - 90_000
     os.utime(folder, (old, old))
     sweep_temporaries(tmp_path)
     assert not folder.exists()
+
+
+def test_an_empty_folder_that_is_swept_too_early_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A sweep between making the folder and making its lock costs the writer nothing."""
+    true_mkdir = os.mkdir
+    swept: list[object] = []
+
+    def mkdir(path: Any, *arguments: Any) -> None:
+        true_mkdir(path, *arguments)
+        if not swept:
+            swept.append(path)
+            sweep_temporaries(tmp_path)
+            assert not Path(path).exists()
+
+    monkeypatch.setattr("os.mkdir", mkdir)
+    with temporary_folder(tmp_path / "export") as folder:
+        assert list(tmp_path.iterdir()) == [folder]
+    assert swept
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_without_locks_the_age_tells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,9 +8,10 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from random import Random
+from typing import ClassVar
 
 import h5py
 import numpy as np
@@ -40,8 +41,9 @@ from mapdata import (
     repair,
     verify,
 )
+from mapdata.arrays import Ints
 from mapdata.describe import card
-from mapdata.generators import UnknownFamily
+from mapdata.generators import Maps, UnknownFamily, register, with_seed_points
 from mapdata.search.labels import Labels
 from mapdata.shards import MANIFEST, Manifest, Root, content_hash, open_shard, read_manifest
 from mapdata.shards.arrays import DATASETS, TERRAIN_DATASETS, decode, encode
@@ -630,3 +632,102 @@ def test_the_known_family_reads_what_the_unknown_one_was(
     assert header == replace(header, generator=generator)
     assert isinstance(header.generator, UnknownFamily)
     assert header != replace(header, generator=replace(header.generator, has_terrain=False))
+
+
+# --- costs that are too high --------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Serpentines(MapGenerator):
+    """Open maps of cost 1, some of which are one long corridor of cost 255 instead."""
+
+    name: ClassVar[str] = "serpentines"
+    description: ClassVar[str] = "open maps and corridors"
+
+    corridors: tuple[int, ...] = ()
+
+    @property
+    def max_seed_points(self) -> int:
+        """Enough that some lie far apart."""
+        return 5
+
+    @property
+    def has_terrain(self) -> bool:
+        """Each map has costs."""
+        return True
+
+    def draw(self, seed: int, indices: Ints) -> Maps:
+        """Return maps, of which those of the numbers ``corridors`` are corridors."""
+        rows, columns = self.map_size
+        grids = np.zeros((len(indices), rows, columns), np.uint8)
+        is_corridor = np.isin(indices, self.corridors)
+        for k in np.flatnonzero(is_corridor):
+            grids[k, 1::2] = 1
+            grids[k, 1::4, -1] = 0
+            grids[k, 3::4, 0] = 0
+        terrain = np.where(is_corridor[:, None, None], 255, 1) * (1 - grids)
+        maps = with_seed_points(self, seed, indices, grids)
+        return replace(maps, terrain=terrain.astype(np.uint8))
+
+
+@pytest.fixture
+def _serpentines() -> Iterator[None]:
+    """Register the family meanwhile."""
+    register(Serpentines)
+    yield
+    forget("serpentines")
+
+
+LONG = Serpentines((128, 128), movement=Movement(8), corridors=(8,))
+"""The corridor of map 8 has 8,255 cells, whose costs add up to 2.1 million: twice what is exact."""
+
+
+@pytest.mark.usefixtures("_serpentines")
+def test_a_map_with_high_costs_does_not_stop_a_build(tmp_path: Path) -> None:
+    """It has one free cell and no problems; the other maps are as they are drawn, random problems
+    are on other maps, and the dataset can be verified, repaired and extended.
+    """
+    root = tmp_path / "maps"
+    warning = r"^map 8: terrain: a path costs .* it is stored with a single free cell, and has no "
+    with pytest.warns(UserWarning, match=warning):
+        build(root, LONG, maps=10, seed=SEED, shard_size=4, workers=1)
+    stored, drawn = Root.open(str(root)), generate(LONG, SEED, range(10))
+    for k in range(10):
+        labels, row = stored.locate(k)
+        maps = labels.maps.selected(slice(row, row + 1))
+        assert maps.terrain is not None
+        assert ((maps.terrain == 0) == maps.occupancy).all()
+        if k == 8:
+            assert maps.occupancy.sum() == 128 * 128 - 1
+            assert maps.rooms.tolist() == [1]
+            assert maps.seed_points[0, 0].tolist() == drawn.seed_points[8, 0].tolist()
+            assert maps.occupancy[(0, *maps.seed_points[0, 0])] == 0
+        else:
+            assert (maps.occupancy[0] == drawn.occupancy[k]).all()
+            assert maps.rooms[0] == drawn.rooms[k]
+    assert verify(root) == []
+    shard = max(root.glob("maps-*.h5"))
+    before = shard.read_bytes()
+    shard.unlink()
+    with pytest.warns(UserWarning, match=warning):
+        assert repair(root) == []
+    assert shard.read_bytes() == before
+    with pytest.warns(UserWarning, match=warning):
+        build(root, LONG, maps=12, seed=SEED, shard_size=4, workers=1)
+    for split in ("train", "val", "test"):
+        dataset = MapDataset(root, split, fields=("map_index", "cost"), problems="random")
+        assert 8 not in dataset[:].map_index
+
+
+@pytest.mark.usefixtures("_serpentines")
+def test_a_generator_of_high_costs_is_refused_before_the_build(tmp_path: Path) -> None:
+    """Nothing is written."""
+    often = replace(LONG, corridors=tuple(range(1, 8, 2)))
+    message = (
+        "^serpentines: 4 of the first 8 maps have costs that are too high: map 1: terrain: a path "
+        "costs 1,.* or let diagonal moves cost 1$"
+    )
+    with pytest.raises(ValueError, match=message):
+        build(tmp_path / "maps", often, maps=1000, seed=SEED)
+    assert not (tmp_path / "maps").exists()
+    build(tmp_path / "maps", replace(often, movement=Movement(8, diagonal_cost=1)), maps=2)
