@@ -53,6 +53,7 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
         TERRAIN_RULE,
         counted,
         generator_text,
+        identity_text,
         movement_text,
     )
 
@@ -82,7 +83,7 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
         lines["drawn passages"] = f"{drawn / segments:.1%}"
     lines["reachable segments"] = f"{manifest.total('reachable') / segments:.1%}"
     lines["fully connected maps"] = f"{manifest.total('all_connected') / max(done, 1):.1%}"
-    lines["identity"] = manifest.identity or "none (imported)"
+    lines["identity"] = identity_text(manifest)
     lines["content hash"] = manifest.content_hash
     example = min(7, max(done - 1, 0))
     lines["look"] = f"mapdata show {shlex.quote(root)} --index {example} -o map.png"

@@ -34,8 +34,8 @@ class DatasetInfo:
         recipes: generator, seed and number of maps of each root; None for imported maps, for maps
             of a family that is not registered or has other parameters by now, and for a
             `ProblemSet`.
-        identities: identity of generator and seed of each root; None for imported maps and for a
-            `ProblemSet`.
+        identities: identity of generator and seed of each root; None for a `ProblemSet`, and for
+            imported maps, which content hash, resolution and movement together identify.
         content_hashes: hash of the maps of each root, or of the problems of a `ProblemSet`; None
             for maps made online.
         map_counts: number of maps by split, of the splits that are served. A `ProblemSet` has no

@@ -209,7 +209,7 @@ def _manifest_facts(manifest: Manifest) -> dict[str, str]:
         "format": f"mapdata shards (HDF5), version {manifest.format_version}",
         "preset": _preset_name(manifest.generator),
         "seed": "" if manifest.seed is None else str(manifest.seed),
-        "identity": manifest.identity or "none: imported maps are what their content hash says",
+        "identity": identity_text(manifest),
         "content hash": manifest.content_hash,
     }
 
@@ -443,6 +443,15 @@ def _citation_request(statistics: DatasetStatistics) -> str:
         import_request if generator is None else generator.citation for generator in generators
     ]
     return " ".join(dict.fromkeys(requests))
+
+
+def identity_text(manifest: Manifest) -> str:
+    """Return the identity of a dataset, or what identifies imported maps in its place.
+
+    The content hash alone does not identify them, because it covers neither resolution nor
+    movement.
+    """
+    return manifest.identity or "none (imported): content hash, resolution and movement identify it"
 
 
 def movement_text(movement: Movement, has_terrain: bool = False) -> str:

@@ -1,8 +1,8 @@
 """Importing grids from elsewhere as a dataset: drawing seed points, labelling, writing shards.
 
-The content is a function of (grids, seed, seed points per map, movement) alone: docs/format.md
-lists the draws of stream 5. An imported dataset has no recipe and no identity: compare content
-hashes instead.
+The content is a function of (grids, seed, seed points per map, movement, splits) alone:
+docs/format.md lists the draws of streams 2 and 5. An imported dataset has no recipe and no
+identity: compare content hash, resolution and movement instead.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
-from mapdata.checks import check_count, check_resolution, check_seed, check_sides
+from mapdata.checks import check_count, check_fractions, check_resolution, check_seed, check_sides
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.leaks import Separated, separate
 from mapdata.formats.shrinking import FreeSpace
 from mapdata.generators.maps import Maps, pack
 from mapdata.generators.points import check_seed_points, draw_points, largest_component
-from mapdata.generators.splits import draw_splits, split_thresholds
 from mapdata.limits import MAX_ROOMS, MAX_SIDE, SPLITS, Size
 from mapdata.movement import Movement
+from mapdata.rng import SPLIT, block, threshold
 from mapdata.search.api import why_not_free
 from mapdata.search.labels import HighCostError, label
 from mapdata.search.lattice import move_rule
@@ -116,7 +116,9 @@ def import_maps(
         movement: how the stored paths move; default the rule of the format, else 4-connected.
         resolution: metres per cell, in place of that of the source (default: that of the source, or
             0.1). The command resamples a robot's map (ros) to it; in Python, `read_any` does.
-        splits: fractions of train, val and test, for maps whose split the source does not say.
+        splits: fractions of train, val and test, for maps whose split the source does not say. Of
+            each dataset these maps are divided exactly, in a random order; from three such maps on,
+            each split with a fraction above 0 has at least one of them.
         tile: cut every grid into tiles of (rows, columns), from the upper left corner on; what
             remains at the edges is dropped.
         shard_size: number of maps per shard (default: 1000, or fewer for large maps).
@@ -130,7 +132,7 @@ def import_maps(
     """
     root = target_folder(root)
     check_seed(seed)
-    thresholds = split_thresholds(tuple(splits))
+    fractions = check_fractions(splits)
     check_seed_points("seed_points", seed_points)
     if shard_size is not None:
         check_count("shard_size", shard_size)
@@ -165,11 +167,8 @@ def import_maps(
         for group, group_maps in groups.items():
             size, metres = group
             numbered = _numbered(group_maps, source)
-            split_codes = draw_splits(np.uint64(seed), np.arange(len(numbered)), thresholds)
-            for k, foreign_map in enumerate(numbered):
-                if foreign_map.split is not None:
-                    split_codes[k] = foreign_map.split
-            _note_empty_splits(numbered, split_codes, splits, source.notes)
+            split_codes = divided_splits(numbered, seed, fractions)
+            _note_empty_splits(numbered, split_codes, fractions, source.notes)
             # Maps keep their splits when copies are dropped. If the splits were drawn again for
             # the remaining maps, other copies might end up in different splits.
             separated = separate(numbered, split_codes, drop_leaks, source.notes)
@@ -207,13 +206,66 @@ def import_maps(
     return datasets
 
 
+def divided_splits(maps: Sequence[ForeignMap], seed: int, fractions: Sequence[float]) -> Bytes:
+    """Return the splits of the maps of a dataset, (N,): 0 train, 1 val, 2 test.
+
+    A map has the split that its source states. The other maps are ordered by a random number each;
+    the first of them are train, the next val, and the last test.
+
+    Args:
+        maps: of a dataset, in the order of their numbers.
+        seed: 64-bit seed of the random numbers.
+        fractions: of train, val and test; they add up to 1.
+    """
+    unstated = [k for k, foreign_map in enumerate(maps) if foreign_map.split is None]
+    words = [block(np.uint64(seed), np.uint64(k), 0, SPLIT, 0)[0] for k in unstated]
+    # The sort is stable: of maps with equal words, the one with the lower number comes first.
+    order = np.argsort(np.array(words, np.uint64), kind="stable")
+    codes = np.array([foreign_map.split or 0 for foreign_map in maps], np.uint8)
+    sizes = split_sizes(len(unstated), fractions)
+    codes[np.array(unstated, np.int64)[order]] = np.repeat(np.arange(len(SPLITS)), sizes)
+    return codes
+
+
+def split_sizes(count: int, fractions: Sequence[float]) -> list[int]:
+    """Return how many of ``count`` maps are train, val and test, by the largest remainder.
+
+    Each split gets its share of the maps, rounded down. The maps that are left go to the splits
+    with the largest remainders, one each. From three maps on, a split that has a share but no map
+    gets one from the largest split. Of equal splits the first one counts.
+
+    Args:
+        count: number of maps.
+        fractions: of train, val and test; they add up to 1.
+
+    >>> [split_sizes(count, (0.8, 0.1, 0.1)) for count in (2, 3, 10, 25)]
+    [[2, 0, 0], [1, 1, 1], [8, 1, 1], [20, 3, 2]]
+    """
+    # The shares are whole numbers of 2**-32, so that all remainders are exact.
+    shares = [threshold(fraction) for fraction in fractions]
+    sizes = [count * share // 2**32 for share in shares]
+    remainders = [count * share % 2**32 for share in shares]
+    codes = range(len(SPLITS))
+    by_remainder = sorted(codes, key=lambda code: -remainders[code])
+    for code in by_remainder[: count - sum(sizes)]:
+        sizes[code] += 1
+    if count >= len(SPLITS):
+        for code in codes:
+            if sizes[code] == 0 and shares[code] > 0:
+                sizes[sizes.index(max(sizes))] -= 1
+                sizes[code] = 1
+    return sizes
+
+
 def _note_empty_splits(
     maps: list[ForeignMap],
     split_codes: Bytes,
-    fractions: tuple[float, float, float],
+    fractions: Sequence[float],
     notes: list[str],
 ) -> None:
-    """Add a note if no map was drawn for a split that should have some.
+    """Add a note if a split that should have some of the divided maps has none.
+
+    Three maps and more are enough for all splits.
 
     Args:
         maps: of a dataset.
@@ -229,11 +281,10 @@ def _note_empty_splits(
         if count == 0 and fraction > 0
     ]
     if drawn_count and empty_names:
-        shares = ", ".join(f"{100 * fraction:g}" for fraction in fractions)
+        maps_are = "1 map is" if drawn_count == 1 else f"{drawn_count} maps are"
         notes.append(
-            f"no map is in {' and '.join(empty_names)}: maps are divided at random "
-            f"({shares} %; {drawn_count} in all); another --seed, more maps "
-            "(--tile cuts large ones) or folders train, val and test in the source change that"
+            f"no map is in {' and '.join(empty_names)}: {maps_are} too few to divide; three maps "
+            "(--tile cuts large ones), or folders train, val and test in the source, change that"
         )
 
 

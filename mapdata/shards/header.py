@@ -80,7 +80,10 @@ class Origin:
 
     @property
     def identity(self) -> str | None:
-        """The identity of the dataset; None for imported maps, which only their hash identifies."""
+        """The identity of the dataset; None for imported maps.
+
+        Those are identified by their content hash, resolution and movement together.
+        """
         if self.generator is None or self.seed is None:
             return None
         return identity(self.generator, self.seed)

@@ -29,15 +29,15 @@ from mapdata import (
     repair,
     verify,
 )
-from mapdata.describe import dataset_statistics
+from mapdata.describe import card, dataset_statistics
 from mapdata.formats import Collection, ForeignMap, import_maps
+from mapdata.formats.importing import divided_splits
 from mapdata.generators import largest_component
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
 from mapdata.shards import MANIFEST, PROVENANCE, Root, read_manifest
 
 Bytes = npt.NDArray[np.uint8]
-SPLIT = 2
 POINTS = 5
 
 
@@ -53,6 +53,7 @@ def test_a_dataset_of_grids(tmp_path: Path) -> None:
     assert made.manifest.identity is None
     with pytest.raises(ValueError, match="no recipe"):
         made.manifest.recipe()
+    expected_splits = reference.divided_splits(2**63 + 1, range(7), (0.8, 0.1, 0.1))
     splits = []
     for entry in made.manifest.shards:
         maps = read_shard(made.root / entry.name).maps
@@ -65,10 +66,7 @@ def test_a_dataset_of_grids(tmp_path: Path) -> None:
                 word = reference.block(2**63 + 1, i, 0, POINTS, draw)[0]
                 seed_points.append(list(divmod(cells.pop(word * len(cells) >> 32), 70)))
             assert maps.seed_points[k].tolist() == seed_points
-            word = reference.block(2**63 + 1, i, 0, SPLIT, 0)[0]
-            assert maps.split[k] == (word >= reference.threshold(0.8)) + (
-                word >= reference.threshold(0.9)
-            )
+            assert maps.split[k] == expected_splits[i]
         assert (maps.sizes == -1).all()
         assert (maps.directions == -1).all()
         assert (maps.passage_width == -1).all()
@@ -406,13 +404,51 @@ def test_a_map_with_costs_that_are_too_high_is_named_as_in_its_source(tmp_path: 
         import_maps(tmp_path / "out", source)
 
 
+@pytest.mark.parametrize(
+    "splits", [(0.8, 0.1, 0.1), (0.5, 0.25, 0.25), (0.7, 0.3, 0.0), (0.0, 0.02, 0.98), (0, 0, 1)]
+)
+def test_maps_are_divided_by_the_rule_of_the_page(splits: tuple[float, float, float]) -> None:
+    """Maps of other splits stand between them; the numbers of all maps key the random numbers."""
+    free = np.zeros((1, 2), np.uint8)
+    for count in (*range(13), 40, 101):
+        stated = {k: k % 3 for k in range(count) if k % 4 == 1}
+        maps = [ForeignMap(f"g{k}", free, stated.get(k)) for k in range(count)]
+        unstated = [k for k in range(count) if k not in stated]
+        expected = {**stated, **reference.divided_splits(SEED, unstated, splits)}
+        found = divided_splits(maps, SEED, splits)
+        assert found.tolist() == [expected[k] for k in range(count)]
+        if len(unstated) >= 3:
+            given = {int(found[k]) for k in unstated}
+            assert given == {code for code in range(3) if splits[code] > 0}
+
+
+SEED = 2**63 + 1
+
+
+def test_copies_count_one_by_one_and_the_dropped_ones_leave_the_splits_as_they_are(
+    tmp_path: Path,
+) -> None:
+    """Three copies of a map and two others: the copies are divided as other maps are."""
+    one, two, three = random_grids(3)
+    grids = (one, two, one, three, one)
+    (kept,) = import_maps(tmp_path / "all", collection(*grids), seed=3)
+    codes = reference.divided_splits(3, range(5), (0.8, 0.1, 0.1))
+    maps = read_shard(kept.root / kept.manifest.shards[0].name).maps
+    assert maps.split.tolist() == [codes[k] for k in range(5)]
+    (separated,) = import_maps(tmp_path / "separated", collection(*grids), seed=3, drop_leaks=True)
+    latest = max(codes[k] for k in (0, 2, 4))
+    expected = [codes[k] for k in range(5) if k in (1, 3) or codes[k] == latest]
+    maps = read_shard(separated.root / separated.manifest.shards[0].name).maps
+    assert maps.split.tolist() == expected
+
+
 def test_a_split_without_a_map_is_noted(tmp_path: Path) -> None:
     """Maps whose source says the split, and splits that should be empty, need no note."""
     grids = [np.zeros((3, 3 + k), np.uint8) for k in range(1)]
     source = collection(*grids)
     import_maps(tmp_path / "one", source, seed_points=2)
     (note,) = [note for note in source.notes if note.startswith("no map is in")]
-    assert "maps are divided at random (80, 10, 10 %; 1 in all); another" in note
+    assert "no map is in val and test: 1 map is too few to divide; three maps" in note
     quiet = collection(*grids)
     import_maps(tmp_path / "all", quiet, seed_points=2, splits=(1, 0, 0))
     divided = Collection([ForeignMap("a", grids[0], 0)])
@@ -430,3 +466,23 @@ def test_many_maps_left_out_are_counted(tmp_path: Path, capsys: pytest.CaptureFi
     assert code == 0
     assert err.count("has no two connected free cells") == 10
     assert "left out: 4 more, 14 in all" in err
+
+
+def test_what_identifies_imported_maps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One content hash at two resolutions, though a robot fits elsewhere; info and card say so."""
+    grid = np.zeros((9, 9), np.uint8)
+    grid[4, :4] = grid[4, 5:] = 1  # a door of one cell
+    cells = np.array([[2, 2], [2, 6], [6, 2]])
+    roots = [tmp_path / "fine", tmp_path / "coarse"]
+    for root, resolution in zip(roots, (0.5, 1.0), strict=True):
+        source = collection(grid, seed_points=cells, rooms_known=True)
+        import_maps(root, source, resolution=resolution)
+    fine, coarse = (read_manifest(root) for root in roots)
+    assert fine.content_hash == coarse.content_hash
+    reached = [len(MapDataset(root, problems="pairs", radius=0.3)) for root in roots]
+    assert reached == [1, 3]
+    for root, metres in zip(roots, ("0.5 m per cell", "1 m per cell"), strict=True):
+        _, info, _ = cli(capsys, "info", root)
+        for said in (metres, fine.content_hash, "4-connected", "resolution and movement identify"):
+            assert said in info
+            assert said in card(root)

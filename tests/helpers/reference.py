@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import heapq
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from fractions import Fraction
 from itertools import pairwise
-from math import isqrt
+from math import floor, isqrt
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
@@ -64,6 +65,25 @@ def bounded(word: int, low: int, high: int) -> int:
 def threshold(probability: float) -> int:
     """Return the integer that a 32-bit word must stay below for the event to happen."""
     return round(probability * 2**32)
+
+
+def divided_splits(seed: int, numbers: Iterable[int], fractions: Sequence[float]) -> dict[int, int]:
+    """Return the split of each imported map whose source states none.
+
+    The maps that rounding down leaves go to the split that lacks most of its exact share.
+    """
+    shares = [Fraction(threshold(fraction), 2**32) for fraction in fractions]
+    queue = sorted(numbers, key=lambda number: (block(seed, number, 0, SPLIT, 0)[0], number))
+    exact = [len(queue) * share for share in shares]
+    sizes = [floor(size) for size in exact]
+    while sum(sizes) < len(queue):  # at most one map for each split is left
+        lacking = [size - given for size, given in zip(exact, sizes, strict=True)]
+        sizes[lacking.index(max(lacking))] += 1
+    for k in range(3):
+        if len(queue) >= 3 and shares[k] > 0 and sizes[k] == 0:
+            sizes[sizes.index(max(sizes))] -= 1
+            sizes[k] += 1
+    return {queue.pop(0): k for k in range(3) for _ in range(sizes[k])}
 
 
 # --- Algorithm 1 --------------------------------------------------------------------------------
