@@ -116,6 +116,7 @@ def info_command(
     corner_cutting: bool = False,
     diagonal_cost: float | None = None,
     radius: float = 0.0,
+    follow_links: bool = False,
 ) -> None:
     """Print what a dataset holds, its recipe, what its problems are worth, or write its card.
 
@@ -140,6 +141,7 @@ def info_command(
         corner_cutting: allow diagonal moves beside occupied cells
         diagonal_cost: cost of a diagonal move: 1 or 1.41421356
         radius: radius of the robot, in metres
+        follow_links: read files that are links out of their folder; only for folders of your own
     """
     from mapdata.cli.convert import movement_of_flags
     from mapdata.describe import card as card_of
@@ -153,13 +155,20 @@ def info_command(
         raise ValueError("--split, --connectivity and --radius: need --problems")
     if recipe and problems is not None:
         raise ValueError("--recipe: not allowed with --problems")
-    dataset = Root.open(root)
+    dataset = Root.open(root, follow_links=follow_links)
     if problems is not None or card is not None:
         # It imports torch, which takes longer than all that `info` does otherwise.
         from mapdata.datasets import MapDataset
 
         source = problems if isinstance(problems, str) else "route"
-        served = MapDataset(root, split, problems=source, movement=movement, radius=radius)
+        served = MapDataset(
+            root,
+            split,
+            problems=source,
+            movement=movement,
+            radius=radius,
+            follow_links=follow_links,
+        )
         statistics = served.problem_statistics()
     if problems is not None and card is None:
         print(statistics)
@@ -167,22 +176,25 @@ def info_command(
         return
     if card is None:
         for folder, manifest in zip(dataset.locations, dataset.manifests, strict=True):
-            print(manifest.recipe() if recipe else summary(folder, manifest))
+            text = manifest.recipe() if recipe else summary(folder, manifest, None, follow_links)
+            print(text)
         return
     if card is True and len(root) > 1:
         raise ValueError("--card: got several datasets; name the file, as in --card FILE")
     if card == "-":
-        print(card_of(root, problems=statistics, progress=True), end="")
+        text = card_of(root, problems=statistics, follow_links=follow_links, progress=True)
+        print(text, end="")
         return
     path = target_folder(root[0]) / "README.md" if card is True else output_path(card)
     # A README.md in the dataset is replaced even if it is a link, which a stranger may have placed
     # there. A file that the user names is written through links and pipes.
     write = write_file if card is True else write_output
-    write(path, card_of(root, problems=statistics, progress=True).encode())
+    text = card_of(root, problems=statistics, follow_links=follow_links, progress=True)
+    write(path, text.encode())
     print(f"wrote {path}")
 
 
-def verify_command(root: list[str], *, repair: bool = False) -> None:
+def verify_command(root: list[str], *, repair: bool = False, follow_links: bool = False) -> None:
     """Check every file of a dataset; exit with code 1 if a file is damaged.
 
     Examples:
@@ -192,19 +204,27 @@ def verify_command(root: list[str], *, repair: bool = False) -> None:
     Args:
         root: folder or URL of a dataset; maps of several datasets are numbered one after another
         repair: build damaged and missing shards again from the recipe
+        follow_links: read files that are links out of their folder; only for folders of your own
     """
     from mapdata.shards.corruption import inspect, repair_faults
+    from mapdata.shards.errors import LINK_REMEDY
     from mapdata.shards.locations import locations, target_folder
 
     datasets = locations(root)
+    if repair and follow_links:
+        raise ValueError(
+            "--repair: not allowed with --follow-links; copy the dataset without links ('cp -rL'), "
+            "and repair the copy"
+        )
     if repair:
         for dataset in datasets:
             target_folder(dataset)  # refuses a URL before any dataset is repaired
     fault_count = 0
+    link_count = 0
     unrepaired_count = 0
     requirement = ""
     for dataset in datasets:
-        findings = inspect(dataset, progress=True)
+        findings = inspect(dataset, follow_links=follow_links, progress=True)
         faults = findings.faults
         for fault in faults:
             print(fault)
@@ -214,6 +234,7 @@ def verify_command(root: list[str], *, repair: bool = False) -> None:
             for fault in unrepaired:
                 print(f"not repaired: {fault}")
         fault_count += len(faults)
+        link_count += sum(LINK_REMEDY in fault.description for fault in faults)
         unrepaired_count += len(unrepaired)
         if not faults:
             print(f"{dataset}: no faults found")
@@ -225,6 +246,8 @@ def verify_command(root: list[str], *, repair: bool = False) -> None:
             requirement = " and its maps can be drawn (see the note)"
     if unrepaired_count and repair:
         raise DisagreeError(f"{unrepaired_count} of {fault_count} not repaired")
+    if 0 < unrepaired_count == link_count:
+        raise DisagreeError("files that are links out of their folder were not read")
     if unrepaired_count:
         raise DisagreeError(
             f"{fault_count} faults found; --repair builds shards again if there is a recipe"
@@ -239,6 +262,7 @@ def show_command(
     output: str | None = None,
     paper_colours: bool = False,
     figure: Literal["map", "gallery", "path", "matrix", "distributions"] = "map",
+    follow_links: bool = False,
 ) -> None:
     """Draw one map with both routes and its numbered seed points, or another figure.
 
@@ -253,6 +277,7 @@ def show_command(
             map-2.png, and so on)
         paper_colours: draw free cells black and occupied cells white, as in the paper
         figure: figure to draw
+        follow_links: read files that are links out of their folder; only for folders of your own
     """
     from mapdata.plotting.figures import SINGLE_MAP_FIGURES, WITH_GRID, plot_figure
     from mapdata.plotting.plot import write_figure
@@ -269,13 +294,20 @@ def show_command(
             f"--paper-colours: does nothing with --figure {figure}, which shows no map"
         )
     picture = plot_figure(
-        root, figure, index=index or 0, paper_colours=paper_colours, progress=True
+        root,
+        figure,
+        index=index or 0,
+        paper_colours=paper_colours,
+        follow_links=follow_links,
+        progress=True,
     )
     write_figure(picture, path)
     print(f"wrote {output}")
 
 
-def report_command(root: list[str], *, output: str | None = None, maps: int = 500) -> None:
+def report_command(
+    root: list[str], *, output: str | None = None, maps: int = 500, follow_links: bool = False
+) -> None:
     """Write an HTML page to browse a dataset: maps with filters, distributions, the card.
 
     Examples:
@@ -286,6 +318,7 @@ def report_command(root: list[str], *, output: str | None = None, maps: int = 50
         output: page to write; an existing file is replaced (default: report.html; if it exists,
             report-2.html, and so on)
         maps: number of maps on the page
+        follow_links: read files that are links out of their folder; only for folders of your own
     """
     from mapdata.plotting.html_report import report
     from mapdata.shards import write_output
@@ -293,7 +326,7 @@ def report_command(root: list[str], *, output: str | None = None, maps: int = 50
     if output is None:
         output = unused_name("report.html")
     path = output_path(output)
-    text = report(root, maps, progress=True).encode()
+    text = report(root, maps, follow_links=follow_links, progress=True).encode()
     write_output(path, text)
     print(f"wrote {output}, {len(text) / 1e3:,.0f} kB: open it in a browser")
 

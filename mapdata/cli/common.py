@@ -47,8 +47,17 @@ class DisagreeError(Exception):
     """The data are damaged or are not what they should be: exit code 1."""
 
 
-def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
-    """Return the short summary of a dataset, one fact to a line."""
+def summary(
+    root: str, manifest: Manifest, seconds: float | None = None, follow_links: bool = False
+) -> str:
+    """Return the short summary of a dataset, one fact to a line.
+
+    Args:
+        root: folder or URL of the dataset.
+        manifest: of the dataset.
+        seconds: that it took to build; None if it was not built now.
+        follow_links: read the record of an import through a link out of the folder.
+    """
     from mapdata.describe.dataset_card import (
         TERRAIN_RULE,
         counted,
@@ -72,7 +81,7 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
     lines["movement"] = movement_text(manifest.movement, manifest.has_terrain)
     lines["resolution"] = f"{manifest.resolution:g} m per cell"
     if manifest.generator is None:
-        lines |= _import_summary(root, manifest)
+        lines |= _import_summary(root, manifest, follow_links)
     if manifest.has_terrain:
         lines["terrain"] = TERRAIN_RULE
     if seconds is not None:
@@ -86,7 +95,8 @@ def summary(root: str, manifest: Manifest, seconds: float | None = None) -> str:
     lines["identity"] = identity_text(manifest)
     lines["content hash"] = manifest.content_hash
     example = min(7, max(done - 1, 0))
-    lines["look"] = f"mapdata show {shlex.quote(root)} --index {example} -o map.png"
+    flag = " --follow-links" if follow_links else ""
+    lines["look"] = f"mapdata show {shlex.quote(root)} --index {example} -o map.png{flag}"
     return "\n".join(f"{name + ':':22}{text}" for name, text in lines.items() if text)
 
 
@@ -100,7 +110,7 @@ def _split_text(manifest: Manifest) -> str:
     return ", ".join(f"{split} {count:,}" for split, count in counts.items())
 
 
-def _import_summary(root: str, manifest: Manifest) -> dict[str, str]:
+def _import_summary(root: str, manifest: Manifest, follow_links: bool) -> dict[str, str]:
     """Return the lines of `summary` that the record of an import gives."""
     from mapdata.limits import SPLITS
     from mapdata.shards.dataset_files import read_provenance
@@ -108,7 +118,7 @@ def _import_summary(root: str, manifest: Manifest) -> dict[str, str]:
     lines = {}
     # The file of provenance may be missing, damaged or of an older version, without some entries.
     with suppress(OSError, ValueError, TypeError, KeyError):
-        provenance = read_provenance(root)
+        provenance = read_provenance(root, follow_links)
         lines["free cells"] = f"{provenance['free']:.1%}"
         distinct = provenance["distinct"]
         if manifest.done > 1:

@@ -31,6 +31,7 @@ def import_command(
     corner_cutting: bool = False,
     diagonal_cost: float | None = None,
     max_pixels: int = 2**24,
+    follow_links: bool = False,
     **options: Any,
 ) -> None:
     """Make a dataset from maps in a foreign format, with seed points and all labels.
@@ -48,6 +49,7 @@ def import_command(
         corner_cutting: allow diagonal moves beside occupied cells
         diagonal_cost: cost of a diagonal move: 1 or 1.41421356
         max_pixels: largest number of pixels or cells of a map; larger maps are refused
+        follow_links: read files and folders that are links out of SRC; only for folders of your own
         **options: those of `import_maps` and of the formats
     """
     from mapdata.checks import check_count
@@ -57,14 +59,14 @@ def import_command(
 
     movement = movement_of_flags(connectivity, corner_cutting, diagonal_cost)
     check_count("--max-pixels", max_pixels)
-    format_name = options.pop("format") or recognise(src)
+    limits = Limits(pixels=max_pixels, follow_links=follow_links, progress=True)
+    format_name = options.pop("format") or recognise(src, limits)
     import_options = {name: options.pop(name) for name in _IMPORT_OPTIONS}
     format_options = unprefixed_options(format_name, options)
     # Options such as --resolution and --seed-points also go to a format that knows them.
     for name in options_of(functions_by_format("read")[format_name]):
         if name in import_options:
             format_options[name] = import_options[name]
-    limits = Limits(pixels=max_pixels, progress=True)
     collection = read_any(src, format_name, limits, **format_options)
     datasets = []
     try:
@@ -119,7 +121,9 @@ def movement_of_flags(
     return Movement(connectivity, corner_cutting, diagonal_cost)
 
 
-def check_scen_command(file: list[str], *, maps: str | None = None) -> None:
+def check_scen_command(
+    file: list[str], *, maps: str | None = None, follow_links: bool = False
+) -> None:
     """Solve the problems of .scen files; exit with code 1 if a published length is not optimal.
 
     If all lengths of a file are 0, it states no lengths, and none are compared. A file that cannot
@@ -131,6 +135,7 @@ def check_scen_command(file: list[str], *, maps: str | None = None) -> None:
     Args:
         file: .scen files
         maps: folder of the maps (default: the folder of each .scen file)
+        follow_links: read maps that are links out of their folder; only for folders of your own
     """
     from mapdata.formats import FormatError, Limits
     from mapdata.formats.movingai import check_scen
@@ -138,9 +143,10 @@ def check_scen_command(file: list[str], *, maps: str | None = None) -> None:
     disagreements = 0
     total = 0
     unreadable = []
+    limits = Limits(follow_links=follow_links, progress=True)
     for name in file:
         try:
-            report = check_scen(name, maps, Limits(progress=True))
+            report = check_scen(name, maps, limits)
         except (ValueError, OSError) as error:  # an OSError, if the name is too long
             unreadable.append(str(error))
             continue

@@ -31,6 +31,7 @@ def export_command(
     seed: int | None = None,
     sampling_seed: int = 0,
     licence: str | None = None,
+    follow_links: bool = False,
     **options: Any,
 ) -> None:
     """Write training problems, or maps with their stored routes, for other programs.
@@ -71,6 +72,7 @@ def export_command(
         seed: seed of the maps of a preset or recipe
         sampling_seed: seed of random problems and of --augment
         licence: licence for the card of parquet, as the Hugging Face Hub spells it
+        follow_links: read files of the dataset that are links out of their folder
         **options: those of the formats of maps
     """
     from mapdata.cli.convert import movement_of_flags, unprefixed_options
@@ -98,11 +100,15 @@ def export_command(
     if name in PROBLEM_FORMATS:
         unprefixed_options(name, options)  # refuses those of formats of maps
         origin = source[0] if len(source) == 1 else source
-        notes = export_problems(origin, target, format=name, progress=True, **arguments)
+        notes = export_problems(
+            origin, target, format=name, follow_links=follow_links, progress=True, **arguments
+        )
     else:
         _refuse_problem_flags(name, arguments)
         format_options = unprefixed_options(name, options)
-        notes = export(source, target, name, progress=True, **format_options)
+        notes = export(
+            source, target, name, follow_links=follow_links, progress=True, **format_options
+        )
     for note in notes:
         print(f"note: {note}")
     print(f"wrote {Path(target)}")

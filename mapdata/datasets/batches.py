@@ -439,6 +439,7 @@ class BatchReader:
         problems: Source,
         radius: float,
         movement: Movement | None = None,
+        follow_links: bool = False,
     ) -> None:
         """Read the manifests; no shard is opened yet.
 
@@ -448,11 +449,12 @@ class BatchReader:
             problems: which problems are served.
             radius: of the robot, in metres.
             movement: the served movement; None for the stored one.
+            follow_links: read files that are links out of their folder.
 
         Raises:
             DatasetNotFoundError, ShardError, ValueError: as `Root.open`; no shard is finished.
         """
-        self.root = Root.open(root)
+        self.root = Root.open(root, follow_links=follow_links)
         self.root.check_begun()
         self.shards = self.root.shards
         self.manifests = self.root.manifests
@@ -533,7 +535,9 @@ class BatchReader:
         try:
             shard = self.root.open_shard(k)
         except (FileNotFoundError, ShardError):
-            current_root = Root.open(self.root.locations[location])
+            current_root = Root.open(
+                self.root.locations[location], follow_links=self.root.follow_links
+            )
             successor = _successor(self.manifests[location], current_root.manifests[0], entry)
             if successor is None:
                 raise

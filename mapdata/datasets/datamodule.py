@@ -148,6 +148,7 @@ class MapDataModule(_Base):
         dtype: torch.dtype | str | None = None,
         transform: Transform | None = None,
         radius: float = 0.0,
+        follow_links: bool = False,
     ) -> None:
         """Keep the arguments; nothing is read or built yet."""
         super().__init__()
@@ -158,7 +159,10 @@ class MapDataModule(_Base):
             )
         if build is not None and (len(roots) > 1 or any(map(is_url, roots))):
             raise ValueError(f"build: makes one dataset in one folder, root is {root!r}")
+        if build is not None and follow_links:
+            raise ValueError("follow_links: has no effect beside build=, which writes the dataset")
         self.roots = roots
+        self.follow_links = follow_links
         self.build = _plain_recipe(build)
         self.batch_size = check_count("batch_size", batch_size)
         check_flag("drop_last", drop_last)
@@ -196,6 +200,7 @@ class MapDataModule(_Base):
             **self.serving.plain(),
             "build": self.build,
             "batch_size": self.batch_size,
+            "follow_links": follow_links,
             "root": one_or_all(roots) if roots else None,
         }
         self.save_hyperparameters(hyperparameters, logger=False)
@@ -274,7 +279,7 @@ class MapDataModule(_Base):
         serving = replace(self.serving, augment=self.serving.augment and split == "train")
         arguments = vars(serving)
         if self.roots:
-            return MapDataset(self.roots, split, **arguments)
+            return MapDataset(self.roots, split, follow_links=self.follow_links, **arguments)
         assert self.build is not None  # there are roots or a recipe
         recipe = as_recipe(self.build)
         length = max(round(recipe.maps * recipe.generator.splits[SPLITS.index(split)]), 1)

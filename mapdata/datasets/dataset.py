@@ -583,6 +583,9 @@ class MapDataset(SampledProblemDataset):
             of a route or of pairs are left out, or kept with ``unsolvable=True``. The connected
             components of the inflated maps decide which, as under a movement that treats corners
             otherwise; that takes some 40 us a map.
+        follow_links: read files that are links out of their folder, as in the cache of
+            huggingface_hub. Only for folders of your own: a stranger's folder may have links to any
+            file of this machine.
 
     Raises:
         DatasetNotFoundError: no dataset under a root; the message names the command that makes one.
@@ -609,6 +612,7 @@ class MapDataset(SampledProblemDataset):
         dtype: torch.dtype | str | None = None,
         transform: Transform | None = None,
         radius: float = 0.0,
+        follow_links: bool = False,
     ) -> None:
         """Read the manifests; shards are opened at first touch, or now (see ``movement``)."""
         serving = Serving(
@@ -625,6 +629,7 @@ class MapDataset(SampledProblemDataset):
         )
         super().__init__(split, serving)
         self.roots = locations(root)
+        self._follow_links = follow_links
         self.filters: tuple[dict[str, Any], ...] = ()
         self._open()
         reader = self.reader
@@ -648,7 +653,12 @@ class MapDataset(SampledProblemDataset):
     def _open(self) -> None:
         serving = self.serving
         self.reader = BatchReader(
-            self.roots, self.split, serving.problems, serving.radius, serving.movement
+            self.roots,
+            self.split,
+            serving.problems,
+            serving.radius,
+            serving.movement,
+            self._follow_links,
         )
         # The numbers of the problems that are served, ascending; None for all of them.
         self._selected = self.reader.solvable_problems()

@@ -74,6 +74,7 @@ def card(
     root: Locations,
     *,
     problems: ProblemStatistics | None = None,
+    follow_links: bool = False,
     progress: bool = False,
 ) -> str:
     """Return the card of a dataset as Markdown, with the front matter of the Hugging Face Hub.
@@ -82,13 +83,16 @@ def card(
         root: folder or URL of the dataset, or several.
         problems: what ``MapDataset(root).problem_statistics()`` returned, which becomes a section
             of the card, as in the card of ``mapdata info ROOT --card``; None leaves it out.
+        follow_links: read files that are links out of their folder.
         progress: show a progress bar.
 
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
         ShardError: a shard is missing or damaged.
     """
-    statistics = dataset_statistics(root, repeats=True, progress=progress)
+    statistics = dataset_statistics(
+        root, repeats=True, follow_links=follow_links, progress=progress
+    )
     introduction, *other_sections = sections(statistics, problems)
     parts = [front_matter(title(statistics), len(statistics)), _markdown(introduction, level=1)]
     parts += [_markdown(section, level=2) for section in other_sections]
@@ -138,7 +142,7 @@ def sections(
     provenance = []
     for name, location, manifest in zip(names, root.locations, root.manifests, strict=True):
         if manifest.generator is None:
-            provenance.append(_import_section(location, statistics.rooms_known))
+            provenance.append(_import_section(location, statistics.rooms_known, root.follow_links))
         else:
             provenance.append(_rebuild_section(name, manifest, manifest.generator))
     return [
@@ -262,15 +266,16 @@ def _rebuild_section(name: str, manifest: Manifest, generator: MapGenerator) -> 
     return Section("Make it again", text, code="\n".join(lines), language="sh")
 
 
-def _import_section(location: str, rooms_known: bool) -> Section:
+def _import_section(location: str, rooms_known: bool, follow_links: bool) -> Section:
     """Return where imported maps came from, as far as the import recorded it.
 
     Args:
         location: folder or URL of the dataset.
         rooms_known: whether the maps came with rooms; otherwise the import drew seed points.
+        follow_links: read the record through a link that leads out of the folder.
     """
     try:
-        provenance = read_provenance(location)
+        provenance = read_provenance(location, follow_links)
         sources = [str(source) for source in provenance.get("sources", ())]
     except (OSError, ValueError, TypeError):
         return Section(

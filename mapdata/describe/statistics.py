@@ -136,20 +136,25 @@ class DatasetStatistics:
 
 
 def dataset_statistics(
-    root: Locations, *, repeats: bool = False, progress: bool = False
+    root: Locations,
+    *,
+    repeats: bool = False,
+    follow_links: bool = False,
+    progress: bool = False,
 ) -> DatasetStatistics:
     """Return the statistics of all finished maps of a dataset.
 
     Args:
         root: folder or URL of the dataset, or several.
         repeats: also hash all maps, which `DatasetStatistics.repeats` needs.
+        follow_links: read files that are links out of their folder.
         progress: show a progress bar.
 
     Raises:
         DatasetNotFoundError: there is no dataset under ``root``.
         ShardError: a shard is missing or damaged.
     """
-    opened = Root.open(root)
+    opened = Root.open(root, follow_links=follow_links)
     # The arrays of no maps come first, so that an empty dataset has arrays of the right types.
     no_maps = label(Maps.empty(opened.movement, opened.map_size, np.arange(0), 2))
     batches = chain([no_maps], opened.labels(progress=progress))

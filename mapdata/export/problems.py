@@ -83,6 +83,7 @@ def export_problems(
     seed: int | None = None,
     sampling_seed: int = 0,
     licence: str | None = None,
+    follow_links: bool = False,
     progress: bool = False,
 ) -> list[str]:
     """Write training problems to a new folder: the fields that a dataset would serve.
@@ -117,6 +118,7 @@ def export_problems(
         sampling_seed: as in `MapDataset`.
         licence: for the card of "parquet", an identifier of the Hugging Face Hub, such as
             "cc-by-4.0".
+        follow_links: read files of a built dataset that are links out of their folder.
         progress: show a progress bar.
 
     Returns:
@@ -147,7 +149,7 @@ def export_problems(
     if max_length is not None and "path" not in options.fields:
         raise ValueError("max_length: expected 'path' among the fields")
     splits = _format_splits(format, split)
-    parts, origin = _open(source, options, splits, split, count, seed)
+    parts, origin = _open(source, options, splits, split, count, seed, follow_links)
     dataset = parts[0].dataset
     _check_terrain(format, dataset, search)
     if format in ("maze-hard", "hrm"):
@@ -353,6 +355,7 @@ def _open(
     split: str | None,
     count: int | None,
     seed: int | None,
+    follow_links: bool,
 ) -> tuple[list[_Part], dict[str, Any]]:
     """Open the datasets of the splits; return them and what the source is, as plain values.
 
@@ -367,9 +370,11 @@ def _open(
     if _is_dataset(source):
         if seed is not None:
             raise ValueError("seed: a built dataset has its own, expected none")
-        parts = [_stored_part(source, options, name, count) for name in splits]
-        origin = _dataset_origin(source)
+        parts = [_stored_part(source, options, name, count, follow_links) for name in splits]
+        origin = _dataset_origin(source, follow_links)
     else:
+        if follow_links:
+            raise ValueError("follow_links: does nothing for a recipe, whose maps are in no file")
         recipe = _source_recipe(source, seed)
         shares = dict(zip(SPLITS, recipe.generator.splits, strict=True))
         asked = [name for name in splits if shares[name] > 0 or name == split]
@@ -381,9 +386,11 @@ def _open(
     return written, origin
 
 
-def _stored_part(source: Locations, options: _Options, split: str, count: int | None) -> _Part:
+def _stored_part(
+    source: Locations, options: _Options, split: str, count: int | None, follow_links: bool
+) -> _Part:
     """Return the problems of a split of a built dataset."""
-    dataset = MapDataset(source, split, **options.serving(split))
+    dataset = MapDataset(source, split, follow_links=follow_links, **options.serving(split))
     if count is None or len(dataset) == 0:
         return _Part(split, dataset, len(dataset))
     is_drawn_anew = isinstance(options.problems, Random) or dataset.serving.augment
@@ -432,9 +439,9 @@ def _source_recipe(source: RecipeLike, seed: int | None) -> Recipe:
         raise ValueError(f"{error}; or the folder or URL of a built dataset") from None
 
 
-def _dataset_origin(source: Locations) -> dict[str, Any]:
+def _dataset_origin(source: Locations, follow_links: bool) -> dict[str, Any]:
     """Return what a dataset is, as plain values."""
-    root = Root.open(source)
+    root = Root.open(source, follow_links=follow_links)
     return {
         "datasets": [
             {

@@ -20,6 +20,8 @@ from mapdata.formats.collection import Collection
 from mapdata.hints import hint_on_values
 from mapdata.limits import SPLITS
 from mapdata.npy import MAX_BYTES, FormatError, StoredArray, refusing
+from mapdata.shards.errors import LINK_REMEDY
+from mapdata.shards.files import leads_out
 from mapdata.shards.root import Root
 from mapdata.shards.workers import bar
 
@@ -34,6 +36,8 @@ class Limits:
             arrays that are read. An .npy file may be larger, since it is read a map at a time.
         files: files in a folder and its subfolders.
         maps: maps in one file.
+        follow_links: read files and folders that are links out of the folder of the source. Only
+            for folders of your own: a stranger's may have links to any file of this machine.
         progress: show a progress bar while many files, or a long one, are read.
     """
 
@@ -41,6 +45,7 @@ class Limits:
     unpacked: int = MAX_BYTES
     files: int = 2_000_000
     maps: int = 2**20
+    follow_links: bool = False
     progress: bool = False
 
 
@@ -55,7 +60,8 @@ def check_file(path: Path, limits: Limits) -> None:
         FormatError: it is not.
     """
     if not path.exists():
-        raise FormatError(f"{path}: no such file")
+        link = f" (a link to {os.readlink(path)})" if path.is_symlink() else ""
+        raise FormatError(f"{path}: no such file{link}")
     if not path.is_file():
         raise FormatError(f"{path}: not a plain file")
     size = path.stat().st_size
@@ -109,28 +115,75 @@ def read_text(path: Path, limits: Limits = LIMITS) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
+LINK_OUT = f"a link to outside the folder; {LINK_REMEDY}"
+"""Why a file is not read."""
+
+
+def checked_inside(path: Path, folder: Path, limits: Limits) -> Path:
+    """Return the path of a file that the user did not name, after checking that it may be read.
+
+    A source from a stranger could otherwise make us read any file of this machine, by a link or by
+    a name with ``..`` in it.
+
+    Args:
+        path: of the file, which may be missing.
+        folder: that the source is in.
+        limits: say whether links out of ``folder`` are followed.
+
+    Raises:
+        FormatError: the name leads out of ``folder``, or a link does.
+    """
+    if not Path(os.path.abspath(path)).is_relative_to(os.path.abspath(folder)):
+        raise FormatError(f"{path}: lies outside the folder {folder}")
+    if not limits.follow_links and leads_out(path, folder):
+        raise FormatError(f"{path}: {LINK_OUT}")
+    return path
+
+
+def sibling(path: Path, name: str, source: Path, limits: Limits) -> Path:
+    """Return the path of another file in the folder of ``path``, as `checked_inside` does.
+
+    Args:
+        path: a file of the source.
+        name: of the other file, which may be missing.
+        source: file or folder that the user named.
+        limits: say whether links are followed.
+
+    Raises:
+        FormatError: the file is a link that leads out of the source.
+    """
+    folder = source if source.is_dir() else path.parent
+    return checked_inside(path.with_name(name), folder, limits)
+
+
 def files_below(
     folder: Path, endings: tuple[str, ...], limits: Limits, collection: Collection
 ) -> list[Path]:
     """Return the files below ``folder`` with one of these endings, map2 before map10.
 
-    Hidden files, hidden folders and links to folders are skipped.
+    Hidden files and hidden folders are skipped. So are links to folders, unless they lead out of
+    ``folder`` and ``limits`` say that such links are followed.
 
     Args:
         folder: searched with all its subfolders.
         endings: in lower case.
-        limits: of the number of files.
-        collection: links to files outside ``folder`` are added to its ``left_out``.
+        limits: of the number of files; they also say whether links are followed.
+        collection: links out of ``folder`` that are not followed are added to its ``left_out``.
 
     Raises:
         FormatError: more than ``limits.files`` files.
     """
     paths = []
     file_count = 0
-    real_folder = folder.resolve()
-    for parent, subfolders, names in os.walk(folder):
+    seen_folders = {os.path.realpath(folder)}  # links may lead in a circle
+    for parent, subfolders, names in os.walk(folder, followlinks=True):
         # os.walk descends into the folders that are left in this list.
-        subfolders[:] = [name for name in subfolders if not name.startswith(".")]
+        subfolders[:] = [
+            name
+            for name in subfolders
+            if not name.startswith(".")
+            and _is_searched(Path(parent, name), folder, seen_folders, limits, collection)
+        ]
         file_count += len(names)
         if file_count > limits.files:
             raise FormatError(f"{folder}: holds more than {limits.files} files")
@@ -138,11 +191,34 @@ def files_below(
             path = Path(parent, name)
             if not name.lower().endswith(endings) or name.startswith("."):
                 continue
-            if path.is_symlink() and not Path(os.path.realpath(path)).is_relative_to(real_folder):
-                collection.left_out.append((str(path), "a link to outside the folder"))
-            else:
-                paths.append(path)
+            with collection.leaving_out(path):
+                paths.append(checked_inside(path, folder, limits) if path.is_symlink() else path)
     return sorted(paths, key=lambda path: natural_key(str(path)))
+
+
+def _is_searched(
+    subfolder: Path, folder: Path, seen_folders: set[str], limits: Limits, collection: Collection
+) -> bool:
+    """Return whether `files_below` descends into a subfolder.
+
+    Args:
+        subfolder: may be a link.
+        folder: that is searched.
+        seen_folders: real paths of the folders that links have led to; this one is added to them.
+        limits: say whether links are followed.
+        collection: a link that is not followed is added to its ``left_out``.
+    """
+    if not subfolder.is_symlink():
+        return True
+    if not leads_out(subfolder, folder):
+        return False  # its files are found where they are
+    with collection.leaving_out(subfolder):
+        checked_inside(subfolder, folder, limits)
+        target = os.path.realpath(subfolder)
+        if target not in seen_folders:
+            seen_folders.add(target)
+            return True
+    return False
 
 
 def natural_key(text: str) -> list[Any]:

@@ -33,6 +33,7 @@ from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
     Limits,
+    checked_inside,
     files_with_endings,
     maps_to_write,
     read_text,
@@ -311,7 +312,7 @@ def check_scen(
     groups: dict[tuple[str, str], list[Problem]] = {}
     for problem in selected:
         if problem.map not in terrains:
-            terrains[problem.map] = read_terrain(find_map(problem.map, path, maps), limits)
+            terrains[problem.map] = read_terrain(find_map(problem.map, path, maps, limits), limits)
         terrain = terrains[problem.map]
         _check_cells(problem, terrain.shape, path)
         start_letter = chr(terrain[problem.start])
@@ -451,26 +452,33 @@ def agrees(problem: Problem, cost: float) -> bool:
     return min_length - tolerance <= stated <= cost + tolerance
 
 
-def find_map(name: str, scen: Path, maps: StrPath | None = None) -> Path:
+def find_map(name: str, scen: Path, maps: StrPath | None = None, limits: Limits = LIMITS) -> Path:
     """Return the path of a map that a .scen names.
 
     The map must lie below ``maps``, or below the folder of the .scen if ``maps`` is None. If the
     name contains folders that do not exist there, the first ones are removed, one after another.
 
+    Args:
+        name: of the map, as the .scen has it.
+        scen: the .scen file.
+        maps: folder of the maps.
+        limits: say whether links out of the folder are followed.
+
     Raises:
-        FormatError: there is no such file; the message names the last path that was tried.
+        FormatError: there is no such file, and the message names the last path that was tried; the
+            file is a link out of the folder.
     """
     folder = scen.parent if maps is None else Path(maps)
-    parts = PureWindowsPath(name).parts  # separated by slashes or backslashes
+    path = PureWindowsPath(name)  # separated by slashes or backslashes
+    parts = path.relative_to(path.anchor).parts
     last_tried = f"a name inside {folder}"
     for start in range(len(parts)):
         if ".." in parts[start:]:
             continue
         candidate = folder.joinpath(*parts[start:])
         last_tried = str(candidate)
-        # A link may lead out of the folder.
-        if candidate.is_file() and candidate.resolve().is_relative_to(folder.resolve()):
-            return candidate
+        if candidate.is_file():
+            return checked_inside(candidate, folder, limits)
     advice = "maps= (--maps, or --movingai.maps of an import) names their folder"
     raise FormatError(f"{scen}: its map {name!r} is missing: looked for {last_tried}; {advice}")
 
@@ -598,7 +606,7 @@ def _end_points(
     for scen in files_with_endings(source, (".scen",), limits, collection):
         with collection.leaving_out(scen):
             for problem in read_scen(scen, limits):
-                map_path = find_map(problem.map, scen, maps)
+                map_path = find_map(problem.map, scen, maps, limits)
                 if map_path not in shapes:
                     shapes[map_path] = read_terrain(map_path, limits).shape
                 _check_cells(problem, shapes[map_path], scen)

@@ -56,6 +56,7 @@ from mapdata.formats.files import (
     SPLIT_NAMES,
     Limits,
     check_file,
+    checked_inside,
     files_below,
     write_picture,
 )
@@ -144,17 +145,17 @@ def _read_header(path: Path) -> str:
         return file.readline(100_000).strip()
 
 
-def _csv_path(source: Path) -> Path:
+def _csv_path(source: Path, limits: Limits) -> Path:
     """Return ``source`` if it is a CSV, or the only CSV in the folder ``source``.
 
     Raises:
-        FormatError: there is no CSV, or there are several.
+        FormatError: there is no CSV, or there are several, or it is a link out of the folder.
     """
     candidates = source.iterdir() if source.is_dir() else [source]
     paths = [path for path in candidates if path.is_file() and path.suffix.lower() == ".csv"]
     if len(paths) != 1:
         raise FormatError(f"{source}: holds {len(paths)} .csv files, expected a folder with one")
-    return paths[0]
+    return checked_inside(paths[0], source, limits) if source.is_dir() else source
 
 
 def read(source: Path, limits: Limits = LIMITS) -> Collection:
@@ -164,9 +165,10 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
         FormatError: no CSV, or one that cannot be read. A map whose picture or rooms are damaged is
             left out.
     """
-    path = _csv_path(source)
+    path = _csv_path(source, limits)
     collection = Collection()
-    pictures = files_below(path.parent / "images", (".png",), limits, collection)
+    images = checked_inside(path.parent / "images", path.parent, limits)
+    pictures = files_below(images, (".png",), limits, collection)
     picture_by_label = {picture.stem: picture for picture in pictures}
     movements = set()
     map_numbers = set()

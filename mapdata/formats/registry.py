@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
@@ -78,8 +78,12 @@ def functions_by_format(operation: Operation) -> dict[str, Callable[..., Any]]:
     return functions
 
 
-def recognise(source: StrPath) -> str:
+def recognise(source: StrPath, limits: Limits = LIMITS) -> str:
     """Return the name of the format of a file or folder.
+
+    Args:
+        source: file or folder.
+        limits: of the number of files; they also say whether links are followed.
 
     Raises:
         FormatError: there is no such file or folder, or it holds no file of a known format, or
@@ -92,7 +96,10 @@ def recognise(source: StrPath) -> str:
     )
     format_by_path: dict[Path, Format] = {}
     unrecognised: list[Path] = []
-    for path in files_with_endings(source, all_endings, LIMITS, Collection()):
+    collection = Collection()
+    for path in files_with_endings(
+        source, all_endings, replace(limits, progress=False), collection
+    ):
         for known_format in FORMATS.values():
             has_ending = path.suffix.lower() in known_format.endings
             if has_ending and path.is_file() and known_format.recognises(path):
@@ -110,6 +117,8 @@ def recognise(source: StrPath) -> str:
         for path, known_format in format_by_path.items()
         if path.suffix.lower() not in companion_endings
     }
+    if not names and collection.left_out:
+        raise FormatError(_no_map_message(source, "known", collection))
     if not names:
         raise FormatError(f"{source}: holds no file of a known format{_advice(unrecognised)}")
     if len(names) > 1:
@@ -142,6 +151,8 @@ def read_any(
     source: StrPath,
     format_name: str | None = None,
     limits: Limits = LIMITS,
+    *,
+    follow_links: bool = False,
     **options: object,
 ) -> Collection:
     """Read a file or folder of a foreign format.
@@ -150,6 +161,9 @@ def read_any(
         source: file or folder.
         format_name: name of a format that can be read; by default `recognise` finds it.
         limits: of what is read, and whether a progress bar shows it.
+        follow_links: read files and folders that are links out of the folder, as
+            ``Limits(follow_links=True)`` does. Only for folders of your own: a stranger's may have
+            links to any file of this machine.
         options: those of the format's ``read``.
 
     Returns:
@@ -160,7 +174,8 @@ def read_any(
         ValueError: a URL, an unknown format, or an option that the format does not have.
     """
     source = local_path(source)
-    name = format_name or recognise(source)
+    limits = replace(limits, follow_links=follow_links or limits.follow_links)
+    name = format_name or recognise(source, limits)
     read = _checked_function("read", name, options)
     collection: Collection = read(source, limits, **options)
     if not collection.maps:
@@ -181,7 +196,9 @@ def _no_map_message(source: Path, format_name: str, collection: Collection) -> s
     return f"no map can be used: {message}"
 
 
-def read_problems(source: StrPath, limits: Limits = LIMITS, **options: object) -> ProblemSet:
+def read_problems(
+    source: StrPath, limits: Limits = LIMITS, *, follow_links: bool = False, **options: object
+) -> ProblemSet:
     """Read the problems of a file or folder, to compare planners on or to train on.
 
     That is a MovingAI .scen, an .npz of planning-datasets or of tile-based sets, a folder of
@@ -191,6 +208,7 @@ def read_problems(source: StrPath, limits: Limits = LIMITS, **options: object) -
     Args:
         source: the file or folder.
         limits: of what is read, and whether a progress bar shows it.
+        follow_links: as in `read_any`.
         options: those of the format's ``problems``: ``count`` and ``maps`` of a .scen, ``seed`` of
             planning-datasets, ``split`` and ``count`` of TransPath, and these and ``unit`` of
             Warcraft and tile-based sets.
@@ -198,7 +216,8 @@ def read_problems(source: StrPath, limits: Limits = LIMITS, **options: object) -
     Raises:
         ValueError: no such file, no problems in it, or bad ones; the message names the file.
     """
-    name = recognise(source)
+    limits = replace(limits, follow_links=follow_links or limits.follow_links)
+    name = recognise(source, limits)
     if name in functions_by_format("problems"):
         read = _checked_function("problems", name, options)
         problems: ProblemSet = read(Path(source), limits, **options)
@@ -218,6 +237,7 @@ def export(
     target: StrPath,
     format_name: str,
     *,
+    follow_links: bool = False,
     progress: bool = False,
     **options: object,
 ) -> list[str]:
@@ -229,6 +249,7 @@ def export(
         root: folder or URL of the dataset, or several.
         target: new name, or an empty folder; for planning-datasets a name that ends with .npz.
         format_name: name of a format that can be written.
+        follow_links: read files of the dataset that are links out of their folder.
         progress: show a progress bar.
         options: those of the format's ``write``.
 
@@ -247,7 +268,7 @@ def export(
     ending = FORMATS[format_name].target_ending
     if not target.name.endswith(ending):
         raise ValueError(f"{target}: expected a name that ends with {ending}")
-    source = Root.open(root, complete=True)
+    source = Root.open(root, complete=True, follow_links=follow_links)
     if source.has_terrain:
         raise ValueError(
             f"root: {source} has maps with terrain, but {format_name} has no costs of cells; "

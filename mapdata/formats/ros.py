@@ -31,6 +31,7 @@ Row 0 here is the top row of the picture; ROS numbers rows from the bottom. ``or
 from __future__ import annotations
 
 import math
+import os
 from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
@@ -48,6 +49,7 @@ from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
     Limits,
+    checked_inside,
     files_with_endings,
     maps_to_write,
     percent,
@@ -220,7 +222,7 @@ def _read_map(path: Path, limits: Limits) -> tuple[RosMap, str]:
     Raises:
         FormatError: as `read_map`.
     """
-    header = _read_header(path)
+    header = _read_header(path, limits)
     pixels = read_pixels(header.picture, limits)
     cells = _classify(pixels, header.mode, header.negate, header.low, header.high)
     overruled = ""
@@ -257,8 +259,12 @@ class _Header(NamedTuple):
     high: float
 
 
-def _read_header(path: Path) -> _Header:
+def _read_header(path: Path, limits: Limits) -> _Header:
     """Return the fields of a .yaml file.
+
+    Args:
+        path: of the file.
+        limits: say whether a picture that is a link is followed.
 
     Raises:
         FormatError: fields missing or out of range, a picture that is missing or outside the
@@ -292,7 +298,7 @@ def _read_header(path: Path) -> _Header:
     # Old versions of map_saver write nan for the yaw of a map without rotation.
     yaw = math.nan if _is_nan(origin[2]) else _number(path, "origin", origin[2])
     return _Header(
-        picture=_picture_path(path, fields["image"]),
+        picture=_picture_path(path, fields["image"], limits),
         resolution=resolution,
         origin=(x, y, yaw),
         mode=mode,
@@ -369,23 +375,22 @@ def _is_nan(value: object) -> bool:
     return isinstance(value, float) and math.isnan(value)
 
 
-def _picture_path(path: Path, name: object) -> Path:
+def _picture_path(path: Path, name: object, limits: Limits) -> Path:
     """Return the path of the picture that the .yaml file ``path`` names.
 
-    It must lie in the folder of the .yaml, also after links are followed. Otherwise a .yaml from a
-    stranger could make us open any file of this machine.
+    It must lie in the folder of the .yaml, as `checked_inside` has it.
 
     Raises:
         FormatError: not a name, a missing picture, or a picture outside the folder.
     """
     if not isinstance(name, str) or not name or "\0" in name:
         raise FormatError(f"{path}: image is {str(name)[:40]!r}, expected the name of a picture")
-    folder = path.parent.resolve()
+    folder = path.parent
     with refusing(f"{path}: image is {name[:80]!r}"):
-        picture = (folder / name).resolve()
-    is_inside = picture.is_relative_to(folder)
-    if is_inside and picture.is_file():
-        return picture
+        picture = Path(os.path.abspath(folder / name))
+        is_inside = picture.is_relative_to(os.path.abspath(folder))
+        if is_inside and picture.is_file():
+            return checked_inside(picture, folder, limits)
     fault = "is missing" if is_inside else "lies outside the folder of the yaml"
     advice = ""
     base_name = PureWindowsPath(name).name
@@ -464,7 +469,7 @@ def read_costs(path: StrPath, limits: Limits = LIMITS) -> tuple[Bytes, float]:
         FormatError: as `read_map`; another mode than raw, or a picture whose pixels are no costs.
     """
     path = Path(path)
-    header = _read_header(path)
+    header = _read_header(path, limits)
     if header.mode != "raw":
         raise FormatError(
             f"{path}: mode is {header.mode}, expected mode: raw, in which the pixels of a costmap "

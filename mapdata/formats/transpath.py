@@ -32,6 +32,7 @@ from mapdata.formats.files import (
     joint_name,
     read_grids,
     sampling_step,
+    sibling,
     split_from_folders,
 )
 from mapdata.formats.registry import Format
@@ -92,7 +93,7 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
     for path in paths:
         # If the user named this file, its error is raised and not only noted.
         with nullcontext() if path == source else collection.leaving_out(path):
-            folders.append(_open(path, limits))
+            folders.append(_open(path, source, limits))
     total = sum(len(folder.maps) for folder in folders)
     with bar(limits.progress, total, unit=" samples read") as advance:
         for folder in folders:
@@ -106,16 +107,24 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
     return collection
 
 
-def _open(path: Path, limits: Limits) -> _SampleFolder:
+def _open(path: Path, source: Path, limits: Limits) -> _SampleFolder:
     """Return the arrays of the folder of ``path``, unread, after checking all of its maps.
 
+    Args:
+        path: of the maps.
+        source: file or folder that the user named.
+        limits: of what is read.
+
     Raises:
-        FormatError: ``path`` is not maps.npy with starts and goals beside it, the shapes do not
-            fit, or the maps are damaged.
+        FormatError: ``path`` is not maps.npy with starts and goals beside it, one of the files is
+            a link out of the source, the shapes do not fit, or the maps are damaged.
     """
     if path.name != _MAPS or not is_transpath(path):
         raise FormatError(f"{path}: expected maps.npy with starts.npy and goals.npy beside it")
-    arrays = [open_npy(path.with_name(name)) for name in _SAMPLES]
+    arrays = []
+    for name in _SAMPLES:
+        is_named = path == source and name == path.name
+        arrays.append(open_npy(path if is_named else sibling(path, name, source, limits)))
     shape = arrays[0].shape
     for array in arrays:
         if array.shape != shape or len(shape) != 4 or shape[1] != 1:
@@ -192,7 +201,7 @@ def problems(
             sample whose start or goal is not one free cell, or without a path between two cells.
             The message has the number of the sample.
     """
-    folder = _open(_maps_path(source, limits, split), limits)
+    folder = _open(_maps_path(source, limits, split), source, limits)
     total, _, rows, columns = folder.maps.shape
     numbers = range(0, total, 1 if count is None else sampling_step(total, count))
     grids = np.empty((len(numbers), rows, columns), np.uint8)

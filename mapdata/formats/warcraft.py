@@ -31,7 +31,7 @@ import numpy as np
 
 from mapdata.arrays import Array, Bytes, Flags
 from mapdata.formats.collection import Collection, ForeignMap
-from mapdata.formats.files import LIMITS, SPLIT_NAMES, Limits, files_below
+from mapdata.formats.files import LIMITS, SPLIT_NAMES, Limits, files_below, sibling
 from mapdata.formats.registry import Format
 from mapdata.formats.weights import (
     UNIT,
@@ -117,10 +117,13 @@ def read(source: Path, limits: Limits = LIMITS, *, unit: float = UNIT) -> Collec
     collection = Collection(movement=MOVEMENT)
     paths = _weights_paths(source, limits, collection)
     opened: list[_SplitFiles] = []
+    refused = {name for name, _ in collection.left_out}
     for path in paths:
+        if str(path) in refused:
+            continue  # its reason is known already
         # If the user named this file, its error is raised and not only noted.
         with nullcontext() if path == source else collection.leaving_out(path):
-            opened.append(_open(path, limits))
+            opened.append(_open(path, source, limits))
     opened.sort(key=lambda files: files.split)  # train, val, test
     total = sum(len(files.weights) for files in opened)
     with bar(limits.progress, total, unit=" maps read") as advance:
@@ -138,25 +141,31 @@ def read(source: Path, limits: Limits = LIMITS, *, unit: float = UNIT) -> Collec
     return collection
 
 
-def _open(path: Path, limits: Limits) -> _SplitFiles:
+def _open(path: Path, source: Path, limits: Limits) -> _SplitFiles:
     """Return the arrays of the split of a file of weights, unread.
 
+    Args:
+        path: of the weights.
+        source: file or folder that the user named.
+        limits: of what is read.
+
     Raises:
-        FormatError: not such a file, a file of the split is missing, or their shapes do not fit.
+        FormatError: not such a file, a file of the split is missing or a link out of the source, or
+            their shapes do not fit.
     """
     prefix = path.name.removesuffix(_WEIGHTS)
     if prefix == path.name or prefix.lower() not in SPLIT_NAMES:
         raise FormatError(
             f"{path}: expected a folder, or its train{_WEIGHTS}, val{_WEIGHTS} or test{_WEIGHTS}"
         )
-    weights = open_npy(path)
+    weights = open_npy(path if path == source else sibling(path, path.name, source, limits))
     check_weights(weights, limits)
-    paths = open_npy(path.with_name(prefix + _PATHS))
+    paths = open_npy(sibling(path, prefix + _PATHS, source, limits))
     if paths.shape != weights.shape:
         raise FormatError(
             f"{paths.label}: has shape {paths.shape}, expected {weights.shape} as {path.name}"
         )
-    _check_pictures(open_npy(path.with_name(prefix + _PICTURES)), weights)
+    _check_pictures(open_npy(sibling(path, prefix + _PICTURES, source, limits)), weights)
     return _SplitFiles(SPLIT_NAMES[prefix.lower()], weights, paths)
 
 
@@ -227,7 +236,7 @@ def problems(
     paths = _weights_paths(source, limits, Collection())
     splits = [SPLIT_NAMES.get(path.name.removesuffix(_WEIGHTS).lower()) for path in paths]
     path = only_path_of_split(paths, splits, source, split)
-    maps = _read_maps(_open(path, limits), check_unit(unit))
+    maps = _read_maps(_open(path, source, limits), check_unit(unit))
     rows, columns = maps[0].shape
     corner_problems = [(number, (0, 0), (rows - 1, columns - 1)) for number in range(len(maps))]
     return problem_set(maps, corner_problems, MOVEMENT, path, count)

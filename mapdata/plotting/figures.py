@@ -154,6 +154,7 @@ def plot_figure(
     *,
     index: int = 0,
     paper_colours: bool = False,
+    follow_links: bool = False,
     progress: bool = False,
 ) -> Figure:
     """Return one of the `FIGURES` of a dataset, which ``mapdata show`` writes.
@@ -163,6 +164,7 @@ def plot_figure(
         figure: "map", "gallery", "path", "matrix" or "distributions".
         index: number of the map, for figures of a single map.
         paper_colours: free black, occupied white, in figures that show a grid.
+        follow_links: read files that are links out of their folder.
         progress: show a progress bar where all maps are read.
 
     Raises:
@@ -170,9 +172,9 @@ def plot_figure(
     """
     check_choice("figure", figure, FIGURES)
     if figure in SINGLE_MAP_FIGURES:
-        labels, i = Root.open(root).locate(index)
+        labels, i = Root.open(root, follow_links=follow_links).locate(index)
     else:
-        statistics = dataset_statistics(root, progress=progress)
+        statistics = dataset_statistics(root, follow_links=follow_links, progress=progress)
     if figure == "gallery":
         axes = plot_gallery(statistics, paper_colours=paper_colours)
     elif figure == "distributions":

@@ -35,12 +35,15 @@ MAPS = 500
 """Default number of maps in a report."""
 
 
-def report(root: Locations, maps: int = MAPS, *, progress: bool = False) -> str:
+def report(
+    root: Locations, maps: int = MAPS, *, follow_links: bool = False, progress: bool = False
+) -> str:
     """Return the report of a dataset as one HTML page: maps, distributions and the card.
 
     Args:
         root: folder or URL of the dataset, or several.
         maps: number of maps in the page, evenly spaced over the dataset.
+        follow_links: read files that are links out of their folder.
         progress: show a progress bar.
 
     Raises:
@@ -49,7 +52,9 @@ def report(root: Locations, maps: int = MAPS, *, progress: bool = False) -> str:
         ValueError: ``maps`` is less than one.
     """
     check_count("maps", maps)
-    statistics = dataset_statistics(root, repeats=True, progress=progress)
+    statistics = dataset_statistics(
+        root, repeats=True, follow_links=follow_links, progress=progress
+    )
     introduction, *card_sections = sections(statistics)
     total = len(statistics)
     count = min(maps, total)

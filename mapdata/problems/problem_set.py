@@ -331,6 +331,7 @@ class ProblemSet:
         problems: SourceLike = Random(distance=(10, None)),
         until_hard: int | None = None,
         radius: float = 0.0,
+        follow_links: bool = False,
     ) -> ProblemSet:
         """Sample one problem on each map of a split of a dataset, as `sample` does.
 
@@ -343,6 +344,7 @@ class ProblemSet:
             problems: the source of the problems, as for `sample`.
             until_hard: stop at the map that brings the number of hard problems to this.
             radius: of the robot, in metres, as for `sample`.
+            follow_links: read files that are links out of their folder.
 
         Raises:
             DatasetNotFoundError: there is no dataset under ``root``.
@@ -350,7 +352,7 @@ class ProblemSet:
             ValueError: no such split, or one without maps; what `sample` refuses.
         """
         check_choice("split", split, SPLITS)
-        dataset = Root.open(root)
+        dataset = Root.open(root, follow_links=follow_links)
         dataset.check_begun()
         map_counts = {
             name: sum(shard.entry.counts[name]["maps"] for shard in dataset.shards)

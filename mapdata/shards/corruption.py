@@ -21,7 +21,14 @@ from mapdata.shards.arrays import decode
 from mapdata.shards.builder import build_shard, planned_headers
 from mapdata.shards.content import content_hash
 from mapdata.shards.dataset_files import load_manifest, local_shard_path, read_dataset_file
-from mapdata.shards.errors import REPAIRS, UNSOUND, DatasetNotFoundError, ShardError
+from mapdata.shards.errors import (
+    LINK_REMEDY,
+    REPAIRS,
+    UNSOUND,
+    DatasetNotFoundError,
+    LinkError,
+    ShardError,
+)
 from mapdata.shards.files import StrPath, file_hash, write_file
 from mapdata.shards.header import Header, Span, is_shard_name, limits_of
 from mapdata.shards.image import shard_image
@@ -94,12 +101,14 @@ class Inspection:
         faults: in the order of the maps. While a process adds shards, those that it has not listed
             or not finished yet are no faults.
         growing: what a running build or import has finished so far, on one line; None if none runs.
+        follow_links: whether files were read that are links out of the folder.
     """
 
     location: str
     manifest: Manifest | None
     faults: tuple[Corruption, ...]
     growing: str | None = None
+    follow_links: bool = False
 
     @property
     def unchecked(self) -> str | None:
@@ -118,7 +127,7 @@ class Inspection:
         return [note for note in (self.unchecked, self.growing) if note is not None]
 
 
-def verify(root: Locations, *, progress: bool = False) -> list[str]:
+def verify(root: Locations, *, follow_links: bool = False, progress: bool = False) -> list[str]:
     """Return what is wrong with a dataset, one line per fault; an empty list if nothing is.
 
     Every file is checked and hashed, and its content hash is computed again. If the maps are of a
@@ -128,6 +137,7 @@ def verify(root: Locations, *, progress: bool = False) -> list[str]:
 
     Args:
         root: folder or URL of a dataset, or several.
+        follow_links: read files that are links out of their folder.
         progress: show a progress bar.
 
     Raises:
@@ -135,7 +145,7 @@ def verify(root: Locations, *, progress: bool = False) -> list[str]:
     """
     faults = []
     for location in locations(root):
-        inspection = inspect(location, progress=progress)
+        inspection = inspect(location, follow_links=follow_links, progress=progress)
         faults += [str(fault) for fault in inspection.faults]
         for note in inspection.notes:
             warnings.warn(note, stacklevel=2)
@@ -167,15 +177,20 @@ def repair(root: Locations, *, progress: bool = False) -> list[str]:
     return remaining
 
 
-def inspect(location: StrPath, *, progress: bool = False) -> Inspection:
+def inspect(location: StrPath, *, follow_links: bool = False, progress: bool = False) -> Inspection:
     """Check every file of the dataset of one folder or URL.
+
+    Args:
+        location: the folder or URL.
+        follow_links: read files that are links out of the folder.
+        progress: show a progress bar.
 
     Raises:
         DatasetNotFoundError: there is no dataset.
     """
     (location,) = locations(location)
     was_growing = not is_url(location) and is_growing(Path(location))
-    inspection = _inspect(location, progress)
+    inspection = _inspect(location, follow_links, progress)
     # A build may have begun, or ended, during the inspection.
     if was_growing or (not is_url(location) and is_growing(Path(location))):
         return _without_unfinished(inspection)
@@ -192,7 +207,7 @@ def _without_unfinished(inspection: Inspection) -> Inspection:
     if manifest is None:
         return inspection
     with suppress(ShardError, DatasetNotFoundError):  # It stays a fault.
-        manifest = load_manifest(location)
+        manifest = load_manifest(location, inspection.follow_links)
     stop_by_start = {entry.start: entry.stop for entry in manifest.shards}
 
     def is_replaced(header: Header | None) -> bool:
@@ -213,24 +228,30 @@ def _without_unfinished(inspection: Inspection) -> Inspection:
     return replace(inspection, manifest=manifest, faults=faults, growing=growing)
 
 
-def _inspect(location: str, progress: bool) -> Inspection:
+def _inspect(location: str, follow_links: bool, progress: bool) -> Inspection:
     """Check every file of a dataset, as if nothing else were running; see `inspect`."""
     try:
-        manifest = load_manifest(location)
+        manifest = load_manifest(location, follow_links)
+    except LinkError as error:
+        # Without the manifest the other files tell nothing, and they are probably links as well.
+        fault = Corruption(f"{location}/{MANIFEST}", str(error))
+        return Inspection(location, None, (fault,))
     except (ShardError, DatasetNotFoundError) as error:
-        return _inspect_without_manifest(location, error, progress)
+        return _inspect_without_manifest(location, error, follow_links, progress)
     faults = []
     # The hash inside the manifest covers its values but not their layout, so the text is compared.
-    text = read_dataset_file(location, MANIFEST)
+    text = read_dataset_file(location, MANIFEST, follow_links)
     if text != f"{json.dumps(json.loads(text), indent=1)}\n".encode():
         description = "damaged (its text is not as it was written)"
         faults.append(Corruption(f"{location}/{MANIFEST}", description))
-    faults += _check_files(location, manifest, is_listed=True, progress=progress)
-    return Inspection(location, manifest, tuple(faults))
+    faults += _check_files(
+        location, manifest, is_listed=True, follow_links=follow_links, progress=progress
+    )
+    return Inspection(location, manifest, tuple(faults), follow_links=follow_links)
 
 
 def _inspect_without_manifest(
-    location: str, error: OSError | ShardError, progress: bool
+    location: str, error: OSError | ShardError, follow_links: bool, progress: bool
 ) -> Inspection:
     """Check a dataset by its shards alone, because reading its manifest raised ``error``.
 
@@ -242,12 +263,14 @@ def _inspect_without_manifest(
     if is_missing and not paths:
         raise error
     faults = [Corruption(f"{location}/{MANIFEST}", "missing" if is_missing else str(error))]
-    manifest = _gather_manifest(Path(location), paths, progress)
+    manifest = _gather_manifest(Path(location), paths, follow_links, progress)
     if manifest is None:
         faults += [Corruption(str(path), "damaged, or its place is lost") for path in paths]
     else:
-        faults += _check_files(location, manifest, is_listed=False, progress=progress)
-    return Inspection(location, manifest, tuple(faults))
+        faults += _check_files(
+            location, manifest, is_listed=False, follow_links=follow_links, progress=progress
+        )
+    return Inspection(location, manifest, tuple(faults), follow_links=follow_links)
 
 
 def repair_faults(inspection: Inspection, *, progress: bool = False) -> list[Corruption]:
@@ -256,11 +279,18 @@ def repair_faults(inspection: Inspection, *, progress: bool = False) -> list[Cor
     What killed writers left is removed, also if nothing has a fault.
 
     Raises:
-        ValueError: the dataset lies at a URL.
+        ValueError: the dataset lies at a URL, or links were followed.
         OSError: the disk is full, or the folder may not be written to.
     """
     root = target_folder(inspection.location)
+    if inspection.follow_links:
+        raise ValueError(
+            f"--follow-links: {root} is not repaired through links; copy it without links "
+            f"('cp -rL'), or build it again in another folder"
+        )
     manifest = inspection.manifest
+    if manifest is None and all(LINK_REMEDY in fault.description for fault in inspection.faults):
+        return list(inspection.faults)
     if manifest is None:
         hint = "no sound shard says what it was: delete it and run the same build again"
         return [
@@ -382,7 +412,7 @@ def _ask_for_import(fault: Corruption) -> Corruption:
 
 
 def _check_files(
-    location: str, manifest: Manifest, *, is_listed: bool, progress: bool
+    location: str, manifest: Manifest, *, is_listed: bool, follow_links: bool, progress: bool
 ) -> list[Corruption]:
     """Return the faults of all files of a dataset but its manifest.
 
@@ -391,21 +421,24 @@ def _check_files(
         manifest: of the dataset.
         is_listed: whether ``manifest`` is the one on disk; otherwise it was gathered from the
             sound shards, which does not tell a lost shard from one that was never built.
+        follow_links: read files that are links out of the folder.
         progress: show a progress bar.
     """
-    faults = _check_provenance(location) if manifest.generator is None else []
-    faults += _check_listed_shards(location, manifest, progress)
-    faults += _check_planned_shards(location, manifest, is_listed)
+    faults = _check_provenance(location, follow_links) if manifest.generator is None else []
+    faults += _check_listed_shards(location, manifest, follow_links, progress)
+    faults += _check_planned_shards(location, manifest, is_listed, follow_links)
     if not is_url(location):
-        faults += _check_folder(Path(location), manifest)
+        faults += _check_folder(Path(location), manifest, follow_links)
     return faults
 
 
-def _check_listed_shards(location: str, manifest: Manifest, progress: bool) -> list[Corruption]:
+def _check_listed_shards(
+    location: str, manifest: Manifest, follow_links: bool, progress: bool
+) -> list[Corruption]:
     """Return the faults of the shards that the manifest lists, in the order of their maps."""
     faults = []
     with bar(progress, manifest.done) as advance, thread_pool() as pool:
-        check = partial(_shard_fault, location, manifest)
+        check = partial(_shard_fault, location, manifest, follow_links)
         for entry, description in completed(pool, check, manifest.shards):
             if description:
                 header = manifest.header(*entry.limits)
@@ -414,7 +447,9 @@ def _check_listed_shards(location: str, manifest: Manifest, progress: bool) -> l
     return sorted(faults, key=lambda fault: fault.path)
 
 
-def _check_planned_shards(location: str, manifest: Manifest, is_listed: bool) -> list[Corruption]:
+def _check_planned_shards(
+    location: str, manifest: Manifest, is_listed: bool, follow_links: bool
+) -> list[Corruption]:
     """Return a fault for each shard that is planned but not listed.
 
     See `_check_files` for the arguments.
@@ -426,12 +461,14 @@ def _check_planned_shards(location: str, manifest: Manifest, is_listed: bool) ->
         name = header.file_name
         if name not in listed_names:
             has_file = not is_url(location) and os.path.lexists(Path(location) / name)
-            description = _why_unlisted(Path(location), header) if has_file else missing
+            description = missing
+            if has_file:
+                description = _why_unlisted(Path(location), header, follow_links)
             faults.append(Corruption(f"{location}/{name}", description, header))
     return faults
 
 
-def _check_folder(folder: Path, manifest: Manifest) -> list[Corruption]:
+def _check_folder(folder: Path, manifest: Manifest, follow_links: bool) -> list[Corruption]:
     """Return the files of a folder that do not belong to the dataset.
 
     Hidden files are those of other programs, and folders may be other datasets: both are skipped.
@@ -444,26 +481,27 @@ def _check_folder(folder: Path, manifest: Manifest) -> list[Corruption]:
         is_hidden = name.startswith(".") and not name.endswith(".tmp")
         belongs = name in shard_names or (is_known(name) and not is_shard_name(name))
         if not (is_hidden or belongs or path.is_dir()):
-            faults.append(Corruption(str(path), _why_unplanned(manifest, path)))
+            faults.append(Corruption(str(path), _why_unplanned(manifest, path, follow_links)))
     return faults
 
 
-def _why_unlisted(root: Path, header: Header) -> str:
+def _why_unlisted(root: Path, header: Header, follow_links: bool) -> str:
     """Return why the manifest does not list the shard of ``header``, although its file exists."""
     try:
-        checked_entry(root, header)
+        checked_entry(root, header, follow_links)
     except (OSError, ShardError) as error:
         return str(error)
     return _unlisted_text(header.generator)
 
 
-def _why_unplanned(manifest: Manifest, path: Path) -> str:
+def _why_unplanned(manifest: Manifest, path: Path, follow_links: bool) -> str:
     """Return the description of a file that the manifest of its dataset does not plan."""
     if is_shard_name(path.name):
         start, stop = limits_of(path)
         fits_plan = start % manifest.shard_size == 0 and 0 < stop - start <= manifest.shard_size
         # A build that extends the dataset lists its shards only after it has built some.
-        if fits_plan and load_shard(path.parent, manifest.header(start, stop)) is not None:
+        header = manifest.header(start, stop)
+        if fits_plan and load_shard(path.parent, header, follow_links) is not None:
             is_replaced = any(
                 entry.start == start and stop < entry.stop for entry in manifest.shards
             )
@@ -471,7 +509,9 @@ def _why_unplanned(manifest: Manifest, path: Path) -> str:
     return _NOT_OURS
 
 
-def _gather_manifest(root: Path, paths: Sequence[Path], progress: bool) -> Manifest | None:
+def _gather_manifest(
+    root: Path, paths: Sequence[Path], follow_links: bool, progress: bool
+) -> Manifest | None:
     """Return a manifest of the sound shards among ``paths``.
 
     The dataset is the one that most shards belong to. Return None if no header can be read, or if
@@ -481,8 +521,8 @@ def _gather_manifest(root: Path, paths: Sequence[Path], progress: bool) -> Manif
     with bar(progress, len(paths), unit=" shards") as advance:
         for path in paths:
             with suppress(OSError, ShardError):
-                header = map_shard(path_in(root, path.name)).shard.header
-                entries[header] = load_shard(root, header)
+                header = map_shard(path_in(root, path.name, follow_links)).shard.header
+                entries[header] = load_shard(root, header, follow_links)
             advance(1)
     if not entries:
         return None
@@ -494,7 +534,7 @@ def _gather_manifest(root: Path, paths: Sequence[Path], progress: bool) -> Manif
     # A build takes shards of 1,000 maps by default. An import takes smaller ones for large maps,
     # so its only shard is assumed to be a whole one.
     default_size = maps if common_header.generator is None else 1000
-    shard_size = _guess_shard_size(root, spans, default_size)
+    shard_size = _guess_shard_size(root, spans, default_size, follow_links)
     if shard_size is None or maps > MAX_SHARDS * shard_size:
         return None
     manifest = Manifest(**common_header.origin(), maps=maps, shard_size=shard_size)
@@ -503,17 +543,23 @@ def _gather_manifest(root: Path, paths: Sequence[Path], progress: bool) -> Manif
     return replace(manifest, shards=sound_entries)
 
 
-def _guess_shard_size(root: Path, spans: Sequence[Span], default: int) -> int | None:
+def _guess_shard_size(
+    root: Path, spans: Sequence[Span], default: int, follow_links: bool
+) -> int | None:
     """Return the shard size of a dataset with shards of these spans, or None if none fits.
 
     Args:
         root: folder of the dataset.
         spans: (start, stop) of its shards, sorted.
         default: the size to assume if the only shard may be a partial one.
+        follow_links: read a manifest that is a link out of the folder.
     """
     largest = max(stop - start for start, stop in spans)
     candidates = []
-    with suppress(OSError, ShardError), open(path_in(root, MANIFEST), "rb") as file:
+    with (
+        suppress(OSError, ShardError),
+        open(path_in(root, MANIFEST, follow_links), "rb") as file,
+    ):
         # A damaged manifest may still state the size, which stands before the list of shards.
         stated = re.search(rb'"shard_size": (\d{1,9})\b', file.read(2**20))
         if stated:
@@ -527,10 +573,10 @@ def _guess_shard_size(root: Path, spans: Sequence[Span], default: int) -> int | 
     return None
 
 
-def _check_provenance(location: str) -> list[Corruption]:
+def _check_provenance(location: str, follow_links: bool) -> list[Corruption]:
     """Return the fault, if any, of the file that says where imported maps came from."""
     try:
-        text = read_dataset_file(location, PROVENANCE).decode()
+        text = read_dataset_file(location, PROVENANCE, follow_links).decode()
         origin = json.loads(text)
         del origin["hash"]
         if text == provenance_text(origin):
@@ -538,15 +584,17 @@ def _check_provenance(location: str) -> list[Corruption]:
         description = "damaged (its hash does not fit)"
     except FileNotFoundError:
         description = "missing"
+    except LinkError as error:
+        description = str(error)
     except (PermissionError, *UNSOUND) as error:
         description = f"damaged ({error})"
     return [Corruption(f"{location}/{PROVENANCE}", description)]
 
 
-def _shard_fault(location: str, manifest: Manifest, entry: Entry) -> str | None:
+def _shard_fault(location: str, manifest: Manifest, follow_links: bool, entry: Entry) -> str | None:
     """Return what is wrong with the file of one listed shard, or None."""
     try:
-        path = local_shard_path(location, entry)
+        path = local_shard_path(location, entry, follow_links)
         shard = map_shard(path, entry.bytes).shard
         if file_hash(path) != entry.sha256:
             return "damaged (its file hash does not fit)"

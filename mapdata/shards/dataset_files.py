@@ -31,8 +31,12 @@ from mapdata.shards.reader import has_hash
 from mapdata.shards.remote import cache_folder, fetch, write_to_cache
 
 
-def load_manifest(location: str) -> Manifest:
+def load_manifest(location: str, follow_links: bool = False) -> Manifest:
     """Return the manifest of a dataset, read from its folder or fetched from its URL.
+
+    Args:
+        location: the folder or URL.
+        follow_links: read links that lead out of the folder.
 
     Raises:
         DatasetNotFoundError: there is no dataset.
@@ -40,14 +44,19 @@ def load_manifest(location: str) -> Manifest:
         ConnectionError: as `read_dataset_file`.
     """
     if not is_url(location):
-        return read_manifest(Path(location))
+        return read_manifest(Path(location), follow_links)
     return parse_manifest(read_dataset_file(location, MANIFEST), f"{location}/{MANIFEST}")
 
 
-def read_dataset_file(location: str, name: str) -> bytes:
+def read_dataset_file(location: str, name: str, follow_links: bool = False) -> bytes:
     """Return the content of a small file of a dataset, such as the manifest.
 
     If a URL cannot be reached, return the content of the last time that it was fetched.
+
+    Args:
+        location: the folder or URL of the dataset.
+        name: of the file.
+        follow_links: read a link that leads out of the folder.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -56,7 +65,7 @@ def read_dataset_file(location: str, name: str) -> bytes:
             than `MAX_MANIFEST_BYTES`.
     """
     if not is_url(location):
-        return path_in(Path(location), name).read_bytes()
+        return path_in(Path(location), name, follow_links).read_bytes()
     cached_path = cache_folder(location) / name
     try:
         content = fetch(location, name, MAX_MANIFEST_BYTES)
@@ -71,8 +80,12 @@ def read_dataset_file(location: str, name: str) -> bytes:
     return content
 
 
-def read_provenance(location: str) -> dict[str, Any]:
+def read_provenance(location: str, follow_links: bool = False) -> dict[str, Any]:
     """Return the content of an imported dataset's ``import.json``, without its hash.
+
+    Args:
+        location: the folder or URL of the dataset.
+        follow_links: read a link that leads out of the folder.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -80,7 +93,7 @@ def read_provenance(location: str) -> dict[str, Any]:
         ValueError: it is damaged.
     """
     path = f"{location}/{PROVENANCE}"
-    provenance = parsed_json(path, read_dataset_file(location, PROVENANCE))
+    provenance = parsed_json(path, read_dataset_file(location, PROVENANCE, follow_links))
     with suppress(RecursionError):  # Deeply nested lists cannot be hashed.
         if isinstance(provenance, dict):
             stated_hash = provenance.pop("hash", None)
@@ -89,8 +102,13 @@ def read_provenance(location: str) -> dict[str, Any]:
     raise ValueError(f"{path}: damaged (its hash does not fit)")
 
 
-def local_shard_path(location: str, entry: Entry) -> Path:
+def local_shard_path(location: str, entry: Entry, follow_links: bool = False) -> Path:
     """Return the path of a shard; a shard at a URL is fetched to the cache and checked.
+
+    Args:
+        location: the folder or URL of the dataset.
+        entry: of the shard.
+        follow_links: accept a link that leads out of the folder.
 
     Raises:
         DatasetNotFoundError: the URL has no such file.
@@ -99,7 +117,7 @@ def local_shard_path(location: str, entry: Entry) -> Path:
             link that leads out of the folder.
     """
     if not is_url(location):
-        return path_in(Path(location), entry.name)
+        return path_in(Path(location), entry.name, follow_links)
     # The name in the cache contains the hash, so a shard that was replaced at the URL has another.
     path = cache_folder(location) / f"{entry.sha256[:16]}-{entry.name}"
     if not _is_cached(path, entry):

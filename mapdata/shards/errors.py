@@ -8,6 +8,12 @@ from typing import Any
 REPAIRS = "'mapdata verify' with --repair makes it again where there is a recipe"
 """The end of error messages about a damaged or missing shard, which says what to do."""
 
+LINK_REMEDY = (
+    "'cp -rL FOLDER COPY' makes a copy without links; --follow-links (follow_links=True) reads the "
+    "links of a folder of your own"
+)
+"""The end of error messages about a link that leads out of its folder, which says what to do."""
+
 
 UNSOUND = (
     TypeError,
@@ -22,6 +28,10 @@ UNSOUND = (
 
 class ShardError(ValueError):
     """A file that is not a sound shard; the message names the file and what is wrong with it."""
+
+
+class LinkError(ShardError):
+    """A file of a dataset that is a link out of the folder of the dataset, and so is not read."""
 
 
 class DatasetNotFoundError(FileNotFoundError):

@@ -128,6 +128,15 @@ def make_folder(folder: Path) -> None:
         raise type(error)(f"{folder}: this folder cannot be made ({error.strerror})") from None
 
 
+def leads_out(path: Path, folder: Path) -> bool:
+    """Return whether ``path``, a name inside ``folder``, is a link that leads out of it."""
+    # Most files are no links, and need no further look at the disk.
+    if not path.is_symlink() and os.path.normpath(path.parent) == os.path.normpath(folder):
+        return False
+    # Unlike `Path.resolve`, `realpath` does not fail on links in a circle.
+    return not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder))
+
+
 def file_size(path: Path) -> int | None:
     """Return the size of a file in bytes, or None if there is no such file."""
     try:

@@ -21,7 +21,8 @@ from mapdata.limits import SPLITS, TERRAIN_VERSION
 from mapdata.movement import Movement
 from mapdata.search.labels import Labels
 from mapdata.shards.content import combine
-from mapdata.shards.errors import UNSOUND, DatasetNotFoundError, ShardError
+from mapdata.shards.errors import LINK_REMEDY, UNSOUND, DatasetNotFoundError, LinkError, ShardError
+from mapdata.shards.files import leads_out
 from mapdata.shards.header import Header, MapRange, Origin, Span, check_version
 
 MANIFEST = "manifest.json"
@@ -170,23 +171,25 @@ class Manifest(Origin):
         return "{\n" + ",\n".join(lines) + "\n}"
 
 
-def path_in(root: Path, name: str) -> Path:
+def path_in(root: Path, name: str, follow_links: bool = False) -> Path:
     """Return the path of a file of a root; the file may be missing.
 
+    Args:
+        root: folder of the dataset.
+        name: of the file.
+        follow_links: accept a link that leads out of the root.
+
     Raises:
-        ShardError: it is a link that leads out of the root, a pipe or a folder.
+        LinkError: it is a link that leads out of the root.
+        ShardError: it is a link to a missing file, a pipe or a folder.
     """
     path = root / name
-    leads_out = False
-    if path.is_symlink():
-        # Unlike `Path.resolve`, `realpath` does not fail on links in a circle.
-        target = Path(os.path.realpath(path))
-        leads_out = not target.is_relative_to(os.path.realpath(root))
-    is_special = os.path.lexists(path) and not path.is_file()
-    if leads_out or is_special:
-        raise ShardError(
-            f"{path}: a link out of its folder, a pipe or a folder, expected a plain file"
-        )
+    if leads_out(path, root) and not follow_links:
+        raise LinkError(f"{path}: a link out of its folder, which is not read; {LINK_REMEDY}")
+    if os.path.islink(path) and not os.path.exists(path):
+        raise ShardError(f"{path}: a link to {os.readlink(path)}, where there is no file")
+    if os.path.lexists(path) and not os.path.isfile(path):
+        raise ShardError(f"{path}: a pipe or a folder, expected a plain file")
     return path
 
 
@@ -210,14 +213,18 @@ def entry_of(header: Header, content: str, labels: Labels, image: bytes) -> Entr
     )
 
 
-def read_manifest(root: Path) -> Manifest:
+def read_manifest(root: Path, follow_links: bool = False) -> Manifest:
     """Return the manifest of a root.
+
+    Args:
+        root: folder of the dataset.
+        follow_links: as in `path_in`.
 
     Raises:
         DatasetNotFoundError: there is none.
         ShardError: it is damaged, or of another format version (both are named), or no plain file.
     """
-    path = path_in(root, MANIFEST)
+    path = path_in(root, MANIFEST, follow_links)
     try:
         if path.stat().st_size > MAX_MANIFEST_BYTES:
             raise ShardError(f"{path}: larger than {MAX_MANIFEST_BYTES} bytes")

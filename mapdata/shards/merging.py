@@ -175,26 +175,31 @@ def sweep(root: Path, manifest: Manifest) -> None:
                 path.unlink(missing_ok=True)
 
 
-def load_shard(root: Path, header: Header) -> Entry | None:
+def load_shard(root: Path, header: Header, follow_links: bool = False) -> Entry | None:
     """Return the entry of the shard of ``header`` if its file exists and is sound, else None."""
     try:
-        return checked_entry(root, header)
+        return checked_entry(root, header, follow_links)
     except (OSError, ShardError):
         return None
 
 
-def checked_entry(root: Path, header: Header) -> Entry:
+def checked_entry(root: Path, header: Header, follow_links: bool = False) -> Entry:
     """Return the entry of the shard of ``header``, whose file is not listed in a manifest.
 
     Since no file hash is known, everything that an HDF5 library reads of the file is checked: the
     metadata by their checksums, the maps and labels by the content hash.
+
+    Args:
+        root: folder of the dataset.
+        header: of the shard.
+        follow_links: read a link that leads out of the folder.
 
     Raises:
         FileNotFoundError: there is no such file.
         OSError: the file may not be read.
         ShardError: the file is damaged, or holds other maps.
     """
-    path = path_in(root, header.file_name)
+    path = path_in(root, header.file_name, follow_links)
     shard = open_shard(path)
     labels = sound_labels(shard)
     if shard.header != header:

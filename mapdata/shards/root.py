@@ -44,6 +44,7 @@ class Root:
         movement: rule of movement of all stored paths.
         shards: the finished shards in the order of their maps.
         maps: number of maps when all shards are finished.
+        follow_links: whether files are read that are links out of their folder.
     """
 
     locations: tuple[str, ...]
@@ -52,15 +53,18 @@ class Root:
     movement: Movement
     shards: tuple[RootShard, ...]
     maps: int
+    follow_links: bool = False
 
     @staticmethod
-    def open(source: Locations, *, complete: bool = False) -> Root:
+    def open(source: Locations, *, complete: bool = False, follow_links: bool = False) -> Root:
         """Return the dataset in ``source``; no shard is opened yet.
 
         Args:
             source: a folder, a URL, or several of them, whose maps have one size and one movement,
                 and all of them terrain or none.
             complete: refuse a dataset that is not finished.
+            follow_links: read files that are links out of their folder. A folder of a stranger may
+                have links to any file of this machine.
 
         Raises:
             DatasetNotFoundError: there is no dataset.
@@ -71,7 +75,7 @@ class Root:
                 installed (the message names it).
         """
         names = locations(source)
-        manifests = tuple(load_manifest(name) for name in names)
+        manifests = tuple(load_manifest(name, follow_links) for name in names)
         for name, manifest in zip(names, manifests, strict=True):
             _check_same_maps(names[0], manifests[0], name, manifest)
             if complete and not manifest.complete:
@@ -90,6 +94,7 @@ class Root:
             movement=manifests[0].movement,
             shards=tuple(shards),
             maps=map_count,
+            follow_links=follow_links,
         )
 
     @property
@@ -146,7 +151,7 @@ class Root:
         entry = root_shard.entry
         location = self.locations[root_shard.location]
         manifest = self.manifests[root_shard.location]
-        path = local_shard_path(location, entry)
+        path = local_shard_path(location, entry, self.follow_links)
         try:
             shard = open_shard(path, entry.bytes, entry.sha256)
         except FileNotFoundError:
