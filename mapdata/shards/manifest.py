@@ -185,9 +185,11 @@ def path_in(root: Path, name: str, follow_links: bool = False) -> Path:
     """
     path = root / name
     if leads_out(path, root) and not follow_links:
-        raise LinkError(f"{path}: a link out of its folder, which is not read; {LINK_REMEDY}")
+        raise LinkError(f"{path}: a link out of its folder, expected a plain file; {LINK_REMEDY}")
     if os.path.islink(path) and not os.path.exists(path):
-        raise ShardError(f"{path}: a link to {os.readlink(path)}, where there is no file")
+        raise ShardError(
+            f"{path}: a link to {os.readlink(path)}, where there is no file, expected a plain file"
+        )
     if os.path.lexists(path) and not os.path.isfile(path):
         raise ShardError(f"{path}: a pipe or a folder, expected a plain file")
     return path
