@@ -15,6 +15,7 @@ import io
 import os
 import re
 import zipfile
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -139,28 +140,37 @@ class StoredArray:
             numbers = self._numbers(file, prod(self.shape))
             return numbers.reshape(self.shape, order="F" if self.is_fortran else "C")
 
-    def entries(self) -> Iterator[Array]:
-        """Yield ``array[0]``, ``array[1]``, ...; only one of them is in memory at a time.
+    def entries(self, axes: int = 1) -> Iterator[Array]:
+        """Yield ``array[0]``, ``array[1]``, ..., reading one at a time.
+
+        A loop over them holds two at once, since its variable keeps the last one while the next one
+        is read; ``map(function, array.entries())`` holds one.
 
         An array in Fortran order is read whole. An array without numbers has no entries, however
         long its first axis is.
 
+        Args:
+            axes: number of the first axes that the entries lie along; with 2 they are
+                ``array[0, 0]``, ``array[0, 1]``, ...
+
         Raises:
             FormatError: as `read`; more than 128 MiB in Fortran order.
         """
-        count, *shape = self.shape
-        if self.is_fortran and shape:
+        outer_shape = self.shape[:axes]
+        shape = self.shape[axes:]
+        if self.is_fortran and len(self.shape) > 1:
             if self.nbytes > _MAX_FORTRAN:
                 raise FormatError(
                     f"{self.label}: has {self.nbytes} bytes in Fortran order, expected at most "
                     f"{_MAX_FORTRAN}: save it with numpy.ascontiguousarray"
                 )
-            yield from self.read()
+            array = self.read()
+            yield from (array[index] for index in np.ndindex(outer_shape))
             return
         with refusing(f"{self.label}: damaged"), self._opened() as file:
             if self.nbytes == 0:
                 return
-            for _ in range(count):
+            for _ in range(prod(outer_shape)):
                 yield self._numbers(file, prod(shape)).reshape(shape)
 
     def check(self) -> None:
@@ -169,8 +179,7 @@ class StoredArray:
         Raises:
             FormatError: as `entries`.
         """
-        for _ in self.entries():
-            pass
+        deque(self.entries(), maxlen=0)  # keeps no entry while the next one is read
 
     @contextmanager
     def _opened(self) -> Iterator[IO[bytes]]:

@@ -100,6 +100,15 @@ def summary(
     return "\n".join(f"{name + ':':22}{text}" for name, text in lines.items() if text)
 
 
+def one_line(root: str, manifest: Manifest) -> str:
+    """Return the facts about one of several datasets that an import has made, on one line."""
+    rows, columns = manifest.map_size
+    return (
+        f"{root}: {manifest.done:,} maps of {rows} x {columns} cells, "
+        f"{manifest.resolution:g} m per cell; {_split_text(manifest)}"
+    )
+
+
 def _split_text(manifest: Manifest) -> str:
     """Return the number of maps of each split."""
     from mapdata.limits import SPLITS

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections import Counter
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal
 
-from mapdata.cli.common import DisagreeError, add_flag, summary
+from mapdata.cli.common import DisagreeError, add_flag, one_line, summary
 
 if TYPE_CHECKING:
     from mapdata.movement import Movement
@@ -81,12 +82,23 @@ def import_command(
                 print(f"left out: {more:,} more, {more + _MAX_LEFT_OUT:,} in all", file=sys.stderr)
     for note in dict.fromkeys(collection.notes):
         print(f"note: {note}")
+    if len(datasets) == 1:
+        print(summary(str(datasets[0].root), datasets[0].manifest))
+    else:
+        for dataset in datasets:
+            print(one_line(str(dataset.root), dataset.manifest))
+        print(
+            f"{len(datasets):,} datasets, one for each size and resolution: 'mapdata info' tells "
+            "more of each"
+        )
+    checked = sum(dataset.checked for dataset in datasets)
+    if checked:
+        print(f"labels compared with the source: {checked:,} maps")
+    disagreements = Counter[str]()
     for dataset in datasets:
-        print(summary(str(dataset.root), dataset.manifest))
-        if dataset.checked:
-            print(f"labels compared with the source: {dataset.checked:,} maps")
-        for column, count in sorted(dataset.disagreements.items()):
-            print(f"  {column}: {count:,} disagree")
+        disagreements.update(dataset.disagreements)
+    for column, count in sorted(disagreements.items()):
+        print(f"  {column}: {count:,} disagree")
 
 
 def unprefixed_options(format_name: str, options: dict[str, Any]) -> dict[str, Any]:
@@ -161,6 +173,8 @@ def check_scen_command(
             print(line)
         if len(report.disagreements) > 20:
             print(f"{name}: and {len(report.disagreements) - 20} more")
+        if report.hint:
+            print(report.hint)
         disagreements += len(report.disagreements)
         total += report.total
     if disagreements:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import re
@@ -18,7 +19,7 @@ from mapdata.arrays import Array, Bytes, Ints
 from mapdata.checks import check_count
 from mapdata.formats.collection import Collection
 from mapdata.hints import hint_on_values
-from mapdata.limits import SPLITS
+from mapdata.limits import SPLITS, Cell
 from mapdata.npy import MAX_BYTES, FormatError, StoredArray, refusing
 from mapdata.shards.errors import LINK_REMEDY
 from mapdata.shards.files import leads_out
@@ -373,10 +374,26 @@ def read_grids(array: StoredArray, threshold: float | None = None) -> Iterator[B
     if len(array.shape) == 2:
         yield to_occupancy(array.read(), array.label, threshold, is_own=is_own)
         return
-    for number, entry in enumerate(array.entries()):
+
+    def grid_of(entry: Array, number: int) -> Bytes:
         label = f"{array.label}: map {number}"
         grid = to_occupancy(entry, label, threshold, is_own=is_own)
-        yield grid.reshape(grid.shape[-2:])
+        return grid.reshape(grid.shape[-2:])
+
+    # Unlike a loop, `map` keeps no entry while the next one is read.
+    yield from map(grid_of, array.entries(), itertools.count())
+
+
+def marked_cell(mask: Array) -> Cell | None:
+    """Return the only cell (row, col) that is not 0 in a mask, (H, W), if the mask is 1 there.
+
+    None if the mask marks no cell, several cells, or one by another number.
+    """
+    # A mask of a stranger may mark all cells, so they are counted before they are listed.
+    if np.count_nonzero(mask) != 1:
+        return None
+    row, column = divmod(int(np.argmax(mask != 0)), mask.shape[1])
+    return (row, column) if mask[row, column] == 1 else None
 
 
 def percent(share: float) -> str:

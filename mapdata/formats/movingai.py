@@ -24,7 +24,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path, PureWindowsPath
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from mapdata.formats.files import (
     Limits,
     checked_inside,
     files_with_endings,
+    joint_name,
     maps_to_write,
     read_text,
     sampling_step,
@@ -71,6 +72,12 @@ _LINE = re.compile(
 
 _ISLANDS = {"W": "water", "T": "trees"}
 """Terrain by letter that can be crossed, but neither entered from land nor left to land."""
+
+_OTHER_TYPES = {
+    "type octile-corner": "whose map gives the corners of cells",
+    "type raw": "whose map gives numbers",
+}
+"""Types of maps of the benchmark's own program that hold no letter for each cell, by their line."""
 
 _LAND_COST = 1
 """The cost of a letter of land to which an import with costs gives none."""
@@ -150,6 +157,11 @@ def _map_header(path: Path, lines: list[str]) -> tuple[int, dict[str, int]]:
         match = re.fullmatch(r"(height|width) ([0-9]{1,10})", words)
         if match is not None:
             sides[match[1]] = int(match[2])
+        elif words in _OTHER_TYPES:
+            raise FormatError(
+                f"{path}: is of {words}, {_OTHER_TYPES[words]}; expected type octile, with a "
+                "letter for each cell"
+            )
         elif words and not words.startswith("type"):
             raise FormatError(
                 f"{path}: line {number + 1} is {line[:40]!r}, expected type, height, width or map"
@@ -261,15 +273,20 @@ class ScenReport:
         in_file: number of problems in the file.
         has_lengths: whether the file states lengths. Scenarios of several agents (MAPF) often do
             not: all their lengths are 0, although there are paths.
-        disagreements: a message for each length that our A* does not reproduce to its last digit.
+        disagreements: a message for each length that our A* does not reproduce to its last digit,
+            and for each problem with a cell outside the map.
+        wrong_lengths: number of those lengths whose problem has a path.
         solved: the problems that have a path, each with its grid.
+        hint: what is probably wrong with the whole file; empty if there is no such guess.
     """
 
     total: int
     in_file: int
     has_lengths: bool = True
     disagreements: list[str] = field(default_factory=list)
+    wrong_lengths: int = 0
     solved: list[tuple[Bytes, Problem]] = field(default_factory=list)
+    hint: str = ""
 
     @property
     def agreed(self) -> int:
@@ -310,15 +327,20 @@ def check_scen(
     terrains: dict[str, Bytes] = {}
     # Problems on the same terrain of the same map are solved together.
     groups: dict[tuple[str, str], list[Problem]] = {}
+    report = ScenReport(len(selected), in_file)
+    outside_messages = []
     for problem in selected:
         if problem.map not in terrains:
             terrains[problem.map] = read_terrain(find_map(problem.map, path, maps, limits), limits)
         terrain = terrains[problem.map]
-        _check_cells(problem, terrain.shape, path)
+        _check_size(problem, terrain.shape, path)
+        outside = _outside(problem, terrain.shape)
+        if outside:
+            outside_messages.append(f"{path}: line {problem.line}: {outside}")
+            continue
         start_letter = chr(terrain[problem.start])
         free_letters = start_letter if start_letter in _ISLANDS else LAND
         groups.setdefault((problem.map, free_letters), []).append(problem)
-    report = ScenReport(len(selected), in_file)
     is_long = report.total > _BATCH
     with bar(limits.progress and is_long, report.total, unit=" problems") as advance:
         for (name, free_letters), group in groups.items():
@@ -330,7 +352,14 @@ def check_scen(
     if are_zero and report.solved:
         # The lengths claim that there are no paths, but there are some: nobody has computed them.
         report.has_lengths = False
+        report.wrong_lengths = 0
         report.disagreements.clear()
+    report.disagreements[:0] = outside_messages
+    if report.disagreements and _are_exchanged(selected, terrains):
+        report.hint = (
+            f"{path}: x and y are probably exchanged: only then are all starts and goals on cells "
+            "that moves can cross; x is the column, and comes first"
+        )
     return report
 
 
@@ -346,15 +375,51 @@ def _check_lengths(batch: list[Problem], grid: Bytes, path: Path, report: ScenRe
         if cost > 0:
             report.solved.append((grid, problem))
         if not agrees(problem, cost):
-            our_length = "no path" if cost < 0 else f"{cost:.8f}"
+            report.wrong_lengths += cost > 0
+            our_length = f"{cost:.8f}"
+            if cost < 0:
+                our_length = "no path" + _why_no_path(problem, grid)
             report.disagreements.append(
                 f"{path}: line {problem.line}: {problem.start} to {problem.goal} "
                 f"(row, col): says {problem.length}, found {our_length}"
             )
 
 
+def _why_no_path(problem: Problem, grid: Bytes) -> str:
+    """Return the end of a message that says which end of a problem is occupied, if one is."""
+    ends = {"start": problem.start, "goal": problem.goal}
+    occupied = [name for name, cell in ends.items() if grid[cell]]
+    return f" ({' and '.join(occupied)} on an occupied cell)" if occupied else ""
+
+
+def _are_exchanged(problems: list[Problem], terrains: dict[str, Bytes]) -> bool:
+    """Return whether the ends of all problems can be crossed only with x and y exchanged.
+
+    Args:
+        problems: of a .scen.
+        terrains: letters of its maps, (H, W) uint8, by their names in the .scen.
+    """
+
+    def can_cross(terrain: Bytes, row: int, column: int) -> bool:
+        is_inside = row < terrain.shape[0] and column < terrain.shape[1]
+        return is_inside and chr(terrain[row, column]) not in BLOCKED
+
+    ends = [
+        (terrains[problem.map], *cell)
+        for problem in problems
+        for cell in (problem.start, problem.goal)
+    ]
+    are_sound = all(can_cross(terrain, row, column) for terrain, row, column in ends)
+    return not are_sound and all(can_cross(terrain, column, row) for terrain, row, column in ends)
+
+
 def problems(
-    source: Path, limits: Limits = LIMITS, *, count: int | None = None, maps: Path | None = None
+    source: Path,
+    limits: Limits = LIMITS,
+    *,
+    count: int | None = None,
+    maps: Path | None = None,
+    lengths: Literal["check", "ours"] = "check",
 ) -> ProblemSet:
     """Return the problems of a .scen, to compare planners on.
 
@@ -366,15 +431,21 @@ def problems(
         limits: of what is read, and whether a progress bar shows it.
         count: maximal number of problems, evenly spread over the file; default all.
         maps: folder of the maps; default the folder of the .scen.
+        lengths: "check" refuses a file with a length that our A* does not reproduce, or with a cell
+            outside the map; "ours" takes the lengths of our A* in place of such lengths, and leaves
+            out problems with a cell outside the map.
 
     Raises:
-        FormatError: a file that `check_scen` refuses; a length that our A* does not reproduce; no
-            problem has a path.
+        FormatError: a file that `check_scen` refuses; a length that our A* does not reproduce,
+            unless ``lengths`` is "ours"; no problem has a path.
         ValueError: maps of several sizes.
     """
     report = check_scen(source, maps, limits, count)
-    if report.disagreements:
-        raise FormatError(report.disagreements[0])
+    if report.disagreements and lengths == "check":
+        others = len(report.disagreements) - 1
+        more = f"; and {others:,} more" if others else ""
+        hint = f"; {report.hint}" if report.hint else '; lengths="ours" takes our lengths'
+        raise FormatError(f"{report.disagreements[0]}{more}{hint}")
     if not report.solved:
         raise FormatError(f"{source}: none of its {report.total} problems has a path")
     grids = [grid for grid, _ in report.solved]
@@ -405,13 +476,15 @@ def _description(source: Path, report: ScenReport, count: int | None) -> str:
     left_out = report.total - solved
     if left_out:
         text += f", {left_out} without a path or a move left out"
+    if report.wrong_lengths:
+        return f"{text}, {report.wrong_lengths} of them with our length in place of another"
     if report.has_lengths:
         return f"{text}, whose lengths are ours"
     return f"{text}, which gives no lengths"
 
 
-def _check_cells(problem: Problem, shape: Size, path: Path) -> None:
-    """Check that a problem fits on its map.
+def _check_size(problem: Problem, shape: Size, path: Path) -> None:
+    """Check that a problem is on a map of the size that the .scen states.
 
     Args:
         problem: of the .scen file ``path``.
@@ -419,17 +492,20 @@ def _check_cells(problem: Problem, shape: Size, path: Path) -> None:
         path: named in errors.
 
     Raises:
-        FormatError: the .scen states another size, or a cell lies outside the map.
+        FormatError: the .scen states another size.
     """
     if problem.size not in (None, shape):
         raise FormatError(
             f"{path}: line {problem.line} says {problem.size}, the map has {shape} rows, columns"
         )
+
+
+def _outside(problem: Problem, shape: Size) -> str:
+    """Return a message that says which cell lies outside a map; empty if none does."""
     for cell in (problem.start, problem.goal):
         if np.greater_equal(cell, shape).any():
-            raise FormatError(
-                f"{path}: line {problem.line}: (row, col) {cell} is outside the map of {shape}"
-            )
+            return f"(row, col) {cell} is outside the map of {shape}"
+    return ""
 
 
 def agrees(problem: Problem, cost: float) -> bool:
@@ -604,13 +680,20 @@ def _end_points(
     end_points: dict[Path, list[Cell]] = {}
     shapes: dict[Path, Size] = {}
     for scen in files_with_endings(source, (".scen",), limits, collection):
+        outside_lines = []
         with collection.leaving_out(scen):
             for problem in read_scen(scen, limits):
                 map_path = find_map(problem.map, scen, maps, limits)
                 if map_path not in shapes:
                     shapes[map_path] = read_terrain(map_path, limits).shape
-                _check_cells(problem, shapes[map_path], scen)
+                _check_size(problem, shapes[map_path], scen)
+                if _outside(problem, shapes[map_path]):
+                    outside_lines.append(problem.line)
+                    continue
                 end_points.setdefault(map_path, []).extend([problem.start, problem.goal])
+        if outside_lines:
+            name = joint_name(f"{scen}: line", outside_lines)
+            collection.left_out.append((name, "its start or goal is outside the map"))
     return end_points
 
 

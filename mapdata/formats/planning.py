@@ -46,10 +46,11 @@ from mapdata.formats.files import (
     check_grids,
     files_with_endings,
     joint_name,
+    marked_cell,
     read_grids,
 )
 from mapdata.formats.registry import Format
-from mapdata.limits import SPLITS
+from mapdata.limits import SPLITS, Cell
 from mapdata.movement import NEURAL_ASTAR, Movement
 from mapdata.npy import FormatError, Npz, StoredArray
 from mapdata.problems.problem_set import ProblemSet
@@ -139,6 +140,7 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
                 our_distances = negative_distances(foreign_map.grid, goal, file.movement)
                 equal_distances += np.array_equal(our_distances, distances)
                 moved_goals += distances[tuple(goal)] != 0
+                del distances  # before the next ones are read
             first_actions = file.actions
             collection.movement = file.movement
             if file.fields:
@@ -250,34 +252,31 @@ def _read_maps(
         split.goals.check()
         split.distances.check()
     for split in file.splits:
-        entries = zip(
-            read_grids(split.maps), split.goals.entries(), split.distances.entries(), strict=True
-        )
+        # Unlike a loop, `map` keeps no entry while the next one is read: a map may be large.
+        goals = map(_goal_cell, split.goals.entries())
+        stated_distances = split.distances.entries()
         bad_goals = []
-        for number, (is_free, goal_mask, distances) in enumerate(entries):
+        for number, (is_free, goal) in enumerate(zip(read_grids(split.maps), goals, strict=True)):
             grid = 1 - is_free
-            goal_cells = np.argwhere(goal_mask[0])
-            if not _is_one_free_cell(goal_cells, goal_mask[0], grid):
+            if goal is None or grid[goal] != 0:
                 bad_goals.append(number)
+                next(stated_distances)
                 continue
             foreign_map = ForeignMap(
                 f"{file.path}: {split.name} {number}",
                 grid,
                 SPLITS.index(split.name),
-                seed_points=goal_cells.astype(np.int64),
+                seed_points=np.array([goal], np.int64),
             )
-            yield foreign_map, distances[0]
+            yield foreign_map, next(stated_distances)[0]
         if bad_goals:
             name = joint_name(f"{file.path}: {split.name}", bad_goals)
             collection.left_out.append((name, "its goal is not one free cell"))
 
 
-def _is_one_free_cell(cells: Ints, mask: Array, grid: Bytes) -> bool:
-    """Return whether the cells (n, 2) that a mask marks are a single free cell, marked by 1."""
-    if len(cells) != 1:
-        return False
-    cell = tuple(cells[0])
-    return bool(mask[cell] == 1 and grid[cell] == 0)
+def _goal_cell(mask: Array) -> Cell | None:
+    """Return the cell that a mask, (1, H, W), marks; None if it is not one cell."""
+    return marked_cell(mask[0])
 
 
 def negative_distances(grid: Bytes, goal: object, movement: Movement = NEURAL_ASTAR) -> Float32s:

@@ -21,13 +21,16 @@ source, diagonal moves included; so its shortest paths are ours where a diagonal
 
 from __future__ import annotations
 
+import itertools
+from collections import deque
+from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
 
-from mapdata.arrays import Array, Flags
+from mapdata.arrays import Array, Bytes, Flags
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
@@ -150,37 +153,89 @@ def _open(path: Path, limits: Limits) -> _TileFile:
     return file
 
 
+def _check_maps(file: _TileFile, unit: float) -> None:
+    """Read a whole file and keep nothing, to detect a fault before any map is used.
+
+    An archive of a megabyte may unpack to a gigabyte. So that a bad one takes little memory, only
+    one map or path is in memory at a time.
+
+    Raises:
+        FormatError: bad weights, cells or paths, or a damaged file.
+    """
+    for _ in _read_terrain(file, unit):
+        pass
+    for _ in _read_problems(file):
+        pass
+    _, targets, sources, _, _ = file.paths.shape
+
+    def check_path(marks: Array, number: int) -> None:
+        map_number, problem = divmod(number, targets * sources)
+        target, source = divmod(problem, sources)
+        cells_of_path(marks, _path_label(file, map_number, target, source))
+
+    deque(map(check_path, file.paths.entries(axes=3), itertools.count()), maxlen=0)
+
+
+def _read_terrain(file: _TileFile, unit: float) -> Iterator[Bytes]:
+    """Yield the terrain of each map, (H, W) uint8.
+
+    Raises:
+        FormatError: bad weights, or a damaged file.
+    """
+
+    def terrain_of(weights: Array, number: int) -> Bytes:
+        return to_terrain(weights, unit, _map_name(file, number))
+
+    # Unlike a loop, `map` keeps no entry while the next one is read.
+    return map(terrain_of, file.costs.entries(), itertools.count())
+
+
+def _read_problems(file: _TileFile) -> Iterator[list[_TileProblem]]:
+    """Yield the problems of each map, target by target.
+
+    Raises:
+        FormatError: a cell outside the map, or a damaged file.
+    """
+    shape = file.costs.shape[1:]
+    entries = zip(file.targets.entries(), file.sources.entries(), strict=True)
+    for number, (targets, sources) in enumerate(entries):
+        yield _tile_problems(_map_name(file, number), (shape[0], shape[1]), targets, sources)
+
+
+def _map_name(file: _TileFile, number: int) -> str:
+    """Return the name of a map, for the user."""
+    return f"{file.path}: map {number}"
+
+
+def _path_label(file: _TileFile, number: int, target: int, source: int) -> str:
+    """Return the name of a path, for errors."""
+    return f"{_map_name(file, number)}: target {target}, source {source}: path"
+
+
 def _read_maps(
     file: _TileFile, split: int | None, unit: float
 ) -> tuple[list[ForeignMap], list[list[_TileProblem]]]:
     """Return all maps of a file, and the problems of each map.
 
     Raises:
-        FormatError: bad weights, cells or paths, or a damaged file.
+        FormatError: as `_check_maps`.
     """
+    _check_maps(file, unit)
     maps = []
     problems_of_maps = []
-    entries = zip(
-        file.costs.entries(),
-        file.targets.entries(),
-        file.sources.entries(),
-        file.paths.entries(),
-        strict=True,
-    )
-    for number, (weights, targets, sources, paths) in enumerate(entries):
-        name = f"{file.path}: map {number}"
-        terrain = to_terrain(weights, unit, name)
-        tile_problems = _tile_problems(name, terrain.shape, targets, sources, paths)
+    paths = file.paths.entries(axes=3)
+    entries = zip(_read_terrain(file, unit), _read_problems(file), strict=True)
+    for number, (terrain, tile_problems) in enumerate(entries):
         cells = [cell for problem in tile_problems for cell in (problem.target, problem.source)]
         # A cell that stands in several problems is one seed point.
         numbers = {cell: k for k, cell in enumerate(dict.fromkeys(cells))}
         marked_cells: dict[tuple[int, int], Flags] = {}
-        for problem in tile_problems:
+        for problem, path in zip(tile_problems, paths, strict=False):
             first, second = sorted((numbers[problem.target], numbers[problem.source]))
-            marked_cells[first, second] = problem.is_marked
+            marked_cells[first, second] = path == 1
         maps.append(
             ForeignMap(
-                name,
+                _map_name(file, number),
                 np.zeros_like(terrain),
                 split,
                 seed_points=np.array(list(numbers), np.int64),
@@ -228,22 +283,13 @@ def problems(
 
 
 class _TileProblem(NamedTuple):
-    """A problem of a map.
-
-    Attributes:
-        target: (row, col).
-        source: (row, col).
-        is_marked: (H, W) bool, the cells of its shortest path.
-    """
+    """A problem of a map: two cells (row, col)."""
 
     target: Cell
     source: Cell
-    is_marked: Flags
 
 
-def _tile_problems(
-    name: str, shape: Size, targets: Array, sources: Array, paths: Array
-) -> list[_TileProblem]:
+def _tile_problems(name: str, shape: Size, targets: Array, sources: Array) -> list[_TileProblem]:
     """Return the problems of a map, target by target.
 
     Args:
@@ -251,23 +297,17 @@ def _tile_problems(
         shape: (rows, columns) of the map.
         targets: (T, 2) numbers.
         sources: (T, S, 2) numbers.
-        paths: (T, S, H, W) of 0 and 1.
 
     Raises:
-        FormatError: a cell outside the map, or a path of other numbers than 0 and 1.
+        FormatError: a cell outside the map.
     """
     tile_problems = []
     for target_number, target in enumerate(targets):
+        target_name = f"{name}: target {target_number}"
         for source_number, source in enumerate(sources[target_number]):
-            problem_name = f"{name}: target {target_number}, source {source_number}"
-            path = paths[target_number, source_number]
-            tile_problems.append(
-                _TileProblem(
-                    target=_cell(target, shape, f"{name}: target {target_number}"),
-                    source=_cell(source, shape, problem_name),
-                    is_marked=cells_of_path(path, f"{problem_name}: path"),
-                )
-            )
+            target_cell = _cell(target, shape, target_name)
+            source_cell = _cell(source, shape, f"{target_name}, source {source_number}")
+            tile_problems.append(_TileProblem(target_cell, source_cell))
     return tile_problems
 
 

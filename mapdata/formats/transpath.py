@@ -30,6 +30,7 @@ from mapdata.formats.files import (
     check_grids,
     files_below,
     joint_name,
+    marked_cell,
     read_grids,
     sampling_step,
     sibling,
@@ -171,13 +172,8 @@ def _marked_free_cell(mask: Array, grid: Bytes) -> Cell | None:
 
     None if the mask marks no cell, several cells or an occupied cell.
     """
-    cells = np.argwhere(mask)
-    if len(cells) != 1:
-        return None
-    row, column = cells[0].tolist()
-    if mask[row, column] != 1 or grid[row, column] != 0:
-        return None
-    return row, column
+    cell = marked_cell(mask)
+    return None if cell is None or grid[cell] != 0 else cell
 
 
 def problems(

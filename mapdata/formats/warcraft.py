@@ -253,7 +253,9 @@ def cells_of_path(marks: Array, label: str) -> Flags:
         FormatError: another number.
     """
     is_marked = marks == 1
-    if not (is_marked | (marks == 0)).all():
+    is_mark = marks == 0
+    is_mark |= is_marked
+    if not is_mark.all():
         raise FormatError(f"{label}: holds {marks.min()} to {marks.max()}, expected only 0 and 1")
     return np.asarray(is_marked)
 
@@ -266,8 +268,8 @@ class PathCheck:
     """
 
     def __init__(self, paths: dict[tuple[int, int], Flags]) -> None:
-        """Keep the cells, (H, W) bool, of the path between two seed points i < j."""
-        self._paths = paths
+        """Keep the cells, (H, W) bool, of the path between two seed points i < j, as bits."""
+        self._bits = {ends: np.packbits(is_marked, axis=1) for ends, is_marked in paths.items()}
 
     def __call__(self, labels: Labels, k: int) -> list[str]:
         """Return ["path"] if a path on map ``k`` of ``labels`` is not a shortest one, else []."""
@@ -276,7 +278,8 @@ class PathCheck:
             raise TypeError("labels: expected maps with terrain")
         costs = labels.matrix("astar", k)
         terrain = maps.terrain[k].astype(np.int64)
-        for (first, second), is_marked in self._paths.items():
+        for (first, second), bits in self._bits.items():
+            is_marked = np.unpackbits(bits, axis=1, count=terrain.shape[1]).view(np.bool_)
             start = tuple(maps.seed_points[k, first].tolist())
             goal = tuple(maps.seed_points[k, second].tolist())
             if not _is_shortest(

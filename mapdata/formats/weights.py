@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +20,10 @@ from mapdata.problems.problem_set import ProblemSet
 
 UNIT = 0.1
 """The weight that becomes a cost of 1: published sets have weights such as 0.8 and 9.2."""
+
+
+_BLOCK_CELLS = 2**18
+"""Number of cells whose weights are converted at once."""
 
 
 def check_unit(unit: float) -> float:
@@ -63,8 +68,12 @@ def read_terrain(array: StoredArray, unit: float) -> Iterator[Bytes]:
     Raises:
         FormatError: weights that are no whole multiples of the unit, or a damaged file.
     """
-    for number, weights in enumerate(array.entries()):
-        yield to_terrain(weights, unit, f"{array.label}: map {number}")
+
+    def terrain_of(weights: Array, number: int) -> Bytes:
+        return to_terrain(weights, unit, f"{array.label}: map {number}")
+
+    # Unlike a loop, `map` keeps no entry while the next one is read.
+    yield from map(terrain_of, array.entries(), itertools.count())
 
 
 def problem_set(
@@ -154,6 +163,28 @@ def to_terrain(weights: Array, unit: float, label: str) -> Bytes:
     Raises:
         FormatError: a weight that is not 1 to 255 units; the message names the first one.
     """
+    rows, columns = weights.shape
+    terrain = np.empty((rows, columns), np.uint8)
+    # Blocks of rows bound the memory that the arrays of 8 bytes a cell take.
+    block_rows = max(_BLOCK_CELLS // columns, 1)
+    for top in range(0, rows, block_rows):
+        block = np.s_[top : top + block_rows]
+        terrain[block] = _to_costs(weights[block], unit, label, top)
+    return terrain
+
+
+def _to_costs(weights: Array, unit: float, label: str, top: int) -> Bytes:
+    """Return the costs of some rows of a map, as `to_terrain` does.
+
+    Args:
+        weights: of these rows, (h, W).
+        unit: the weight that becomes a cost of 1.
+        label: names the map in errors.
+        top: number of the first of the rows.
+
+    Raises:
+        FormatError: as `to_terrain`.
+    """
     exact_weights = weights.astype(np.float64)
     costs = np.rint(exact_weights / unit)
     # With NaN every comparison is false, so this form of the test refuses it.
@@ -163,8 +194,9 @@ def to_terrain(weights: Array, unit: float, label: str) -> Bytes:
     if not is_multiple.all():
         row, column = np.argwhere(~is_multiple)[0].tolist()
         raise FormatError(
-            f"{label}: cell {row, column} has weight {exact_weights[row, column]:g}, expected a "
-            f"whole multiple of the unit {unit:g}, from {unit:g} to {MAX_CELL_COST * unit:g}"
+            f"{label}: cell {top + row, column} has weight {exact_weights[row, column]:g}, "
+            f"expected a whole multiple of the unit {unit:g}, from {unit:g} to "
+            f"{MAX_CELL_COST * unit:g}"
         )
     return costs.astype(np.uint8)
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.grids import random_grids
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
@@ -32,6 +33,7 @@ from mapdata.export.layouts import Columns
 from mapdata.export.parquet import ParquetWriter
 from mapdata.export.problems import _Part
 from mapdata.export.writers import ArrayWriter
+from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.formats.maze_hard import is_shortest_answer
 from mapdata.shards import DatasetNotFoundError
 
@@ -179,6 +181,24 @@ def test_a_note_says_that_random_problems_are_on_few_maps(root: str, tmp_path: P
     for count in (5, 200):
         notes = export_problems(root, tmp_path / str(count), count=count, problems="random")
         assert not [note for note in notes if "different maps" in note]
+
+
+@pytest.mark.parametrize("name", ["hrm", "maze-hard"])
+def test_mazes_as_text_are_square(name: str, tmp_path: Path) -> None:
+    """Their rows follow one another without a mark, so that a length alone gives the sides."""
+    with pytest.raises(
+        ValueError, match=f"{name}: got maps of 7 x 9 cells .* expected square maps"
+    ):
+        export_problems(Maze((7, 9)), tmp_path / "out", format=name, count=2)
+
+
+def test_copies_in_val_and_test_alone_need_no_note(tmp_path: Path) -> None:
+    """A model saw only the maps of train in training."""
+    first, second = random_grids(2, 12, 12)
+    maps = [ForeignMap("a", first, 0), ForeignMap("b", second, 1), ForeignMap("c", second, 2)]
+    import_maps(tmp_path / "maps", Collection(maps), seed_points=3)
+    notes = export_problems(tmp_path / "maps", tmp_path / "out", fields=("map",))
+    assert not [note for note in notes if "also in" in note]
 
 
 def test_maps_of_terrain_are_copies_only_if_their_costs_are_equal(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from mapdata import (
     Terrain,
     build,
 )
-from mapdata.export import PROBLEM_FORMATS, export_problems
+from mapdata.export import LAYOUTS, PROBLEM_FORMATS, export_problems
 from mapdata.formats import export, import_maps, read_any
 from mapdata.formats.registry import functions_by_format
 
@@ -32,6 +33,28 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("warcraft") / "set"
     export_problems(CORNERS, folder, format="warcraft", count=8)
     return folder
+
+
+@pytest.mark.parametrize(
+    ("start", "goal"),
+    [((1, 0), (5, 6)), ((0, 1), (5, 6)), ((0, 0), (4, 6)), ((0, 0), (5, 5)), ((5, 6), (0, 0))],
+)
+def test_a_problem_with_one_end_in_another_cell_is_refused(
+    start: tuple[int, int], goal: tuple[int, int]
+) -> None:
+    """Both ends count, and both of their coordinates."""
+    check = LAYOUTS["warcraft"].check
+    assert check is not None
+    columns = {
+        "terrain": np.ones((2, 1, 6, 7), np.uint8),
+        "start": np.array([(0, 0), (0, 0)]),
+        "goal": np.array([(5, 6), (5, 6)]),
+    }
+    check(columns, MOVEMENT)
+    columns["start"][1] = start
+    columns["goal"][1] = goal
+    with pytest.raises(ValueError, match=re.escape(f"a problem from {start} to {goal}")):
+        check(columns, MOVEMENT)
 
 
 def loaded(folder: Path, split: str) -> tuple[Any, Any, Any]:

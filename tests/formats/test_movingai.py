@@ -442,6 +442,8 @@ def test_a_long_check_shows_its_progress(
 
 
 HOSTILE_MAPS = {
+    "corners": ("type octile-corner\nheight 1\nwidth 1\nmap\n", "is of type octile-corner, whose"),
+    "raw": ("type raw\nheight 1\nwidth 1\nmap\n0\n", "is of type raw, whose map gives numbers"),
     "empty": ("", "no line 'map'"),
     "nul": ("type octile\0", "not a text file"),
     "no map": (MAP.replace("map\n", ""), "line 4 is '..G@WW', expected type"),
@@ -477,7 +479,6 @@ HOSTILE_SCENS = {
     "nan": ("0\tcave.map\t6\t4\t0\t0\t0\t0\tnan\n", "at least 0"),
     "infinite": ("0\tcave.map\t6\t4\t0\t0\t0\t0\tInfinity\n", "at least 0"),
     "negative": ("0\tcave.map\t6\t4\t-1\t0\t0\t0\t0\n", "at least 0"),
-    "outside": ("0\tcave.map\t6\t4\t0\t0\t6\t0\t0\n", r"\(0, 6\) is outside the map"),
     "other size": ("0\tcave.map\t4\t6\t0\t0\t0\t0\t0\n", r"says \(6, 4\)"),
     "no map": ("0\tother.map\t6\t4\t0\t0\t0\t0\t0\n", "its map 'other.map' is missing"),
     "leaves the folder": ("0\t../../cave.map.scen/..\t6\t4\t0\t0\t0\t0\t0\n", "a name inside"),
@@ -497,6 +498,57 @@ def test_hostile_scens_are_refused_in_one_line(
     code, _, err = cli(capsys, "check-scen", path)
     assert code == 2
     assert err.count("\n") == 1
+
+
+def test_a_wrong_line_does_not_end_a_file_unread(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A goal outside the map, one on a wall and a wrong length are three lines of the check."""
+    wrong = (
+        "0\tcave.map\t6\t4\t0\t0\t6\t0\t0\n"
+        "0\tcave.map\t6\t4\t0\t0\t3\t0\t3\n"
+        "0\tcave.map\t6\t4\t0\t0\t0\t2\t5\n"
+    )
+    path = files(tmp_path, SCEN + wrong)
+    report = check_scen(path)
+    assert (report.total, report.agreed, report.wrong_lengths) == (10, 7, 1)
+    assert report.disagreements == [
+        f"{path}: line 9: (row, col) (0, 6) is outside the map of (4, 6)",
+        f"{path}: line 10: (0, 0) to (0, 3) (row, col): says 3, found no path (goal on an occupied "
+        "cell)",
+        f"{path}: line 11: (0, 0) to (2, 0) (row, col): says 5, found 2.00000000",
+    ]
+    assert report.hint == ""
+    code, out, _ = cli(capsys, "check-scen", path)
+    assert code == 1
+    assert [line in out for line in report.disagreements] == [True] * 3
+    with pytest.raises(FormatError, match=r'line 9: .*; and 2 more; lengths="ours" takes our'):
+        read_problems(path)
+    problems = read_problems(path, lengths="ours")
+    expected = read_problems(files(tmp_path, SCEN + "0\tcave.map\t6\t4\t0\t0\t0\t2\t2\n"))
+    assert problems.content_hash == expected.content_hash
+    assert problems.description.endswith(
+        "4 without a path or a move left out, 1 of them with our length in place of another"
+    )
+    # An import takes the other lines, too, and names the line that it leaves out.
+    collection = read_any(files(tmp_path, SCEN + wrong), scen=True)
+    assert collection.left_out == [(f"{path}: line 9", "its start or goal is outside the map")]
+    assert len(collection.maps[0].seed_points) > 2
+
+
+def test_exchanged_coordinates_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Starts lie in walls or outside the map, and the check says why."""
+    (tmp_path / "a.map").write_text("type octile\nheight 2\nwidth 4\nmap\n....\n@@@.\n")
+    scen = tmp_path / "a.map.scen"
+    scen.write_text("version 1\n0\ta.map\t4\t2\t0\t1\t0\t2\t1\n0\ta.map\t4\t2\t0\t0\t0\t1\t1\n")
+    code, out, _ = cli(capsys, "check-scen", scen)
+    assert code == 1
+    assert "x and y are probably exchanged" in out
+    assert "(goal on an occupied cell)" in out
+    with pytest.raises(FormatError, match="x and y are probably exchanged"):
+        read_problems(scen)
 
 
 def test_limits_come_before_reading(tmp_path: Path) -> None:
@@ -551,7 +603,7 @@ def test_an_import_of_problems_says_how_many_end_points_it_took(
     ("line", "why"),
     [
         ("0\ta.map\t8\t6\t0\t0\t2\t1\t3", "says (6, 8), the map has (3, 4)"),
-        ("0\ta.map\t4\t3\t0\t0\t2\t5\t6", "is outside the map"),
+        ("0\ta.map\t4\t3\t0\t0\t2\t5\t6", "its start or goal is outside the map"),
     ],
 )
 def test_an_import_refuses_scaled_scenarios(

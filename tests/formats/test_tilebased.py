@@ -11,7 +11,14 @@ from helpers.weighted import draw_costs, shortest_path, tile_arrays
 from helpers.wild import cli, npy, npz
 
 from mapdata import Movement, read_shard
-from mapdata.formats import FormatError, Limits, read_any, read_problems, recognise
+from mapdata.formats import (
+    FormatError,
+    Limits,
+    import_maps,
+    read_any,
+    read_problems,
+    recognise,
+)
 from mapdata.shards import read_manifest
 
 SPLITS = {"train": 3, "val": 1, "test": 2}
@@ -132,6 +139,39 @@ def test_a_bad_number_is_refused(
         read_any(folder / "train.npz")
     assert "\n" not in str(refusal.value)
     assert len(read_any(folder).maps) == 3
+
+
+def test_paths_in_fortran_order_belong_to_their_problems(folder: Path, tmp_path: Path) -> None:
+    """The first axis varies fastest there, and paths lie along three axes."""
+    with np.load(folder / "train.npz") as file:
+        arrays = {name: np.asarray(array, order="F") for name, array in file.items()}
+    np.savez(folder / "train.npz", **arrays)  # type: ignore[arg-type]
+    (dataset,) = import_maps(tmp_path / "data", read_any(folder / "train.npz"))
+    assert (dataset.checked, dataset.disagreements) == (3, {})
+    arrays["paths"][:, 1, 2], arrays["paths"][:, 0, 0] = (
+        arrays["paths"][:, 0, 0].copy(),
+        arrays["paths"][:, 1, 2].copy(),
+    )
+    np.savez(folder / "train.npz", **arrays)  # type: ignore[arg-type]
+    (exchanged,) = import_maps(tmp_path / "exchanged", read_any(folder / "train.npz"))
+    assert exchanged.disagreements == {"path": 3}
+
+
+def test_a_map_with_one_cell_gets_more_seed_points(tmp_path: Path) -> None:
+    """Its only source is its target, so the import draws the other seed points."""
+    costs = draw_costs(np.random.default_rng(3), 2, 5, 6)
+    arrays = tile_arrays(np.random.default_rng(3), costs, targets=1, sources=1)
+    arrays["targets"][0, 0] = arrays["sources"][0, 0, 0] = 2
+    arrays["paths"][0] = 0
+    arrays["paths"][0, 0, 0, 2, 2] = 1
+    np.savez(tmp_path / "train.npz", **arrays)  # type: ignore[arg-type]
+    collection = read_any(tmp_path / "train.npz")
+    one, two = collection.maps
+    assert (one.seed_points.tolist(), one.rooms_known, two.rooms_known) == ([[2, 2]], False, True)
+    (dataset,) = import_maps(tmp_path / "data", collection, seed_points=4)
+    maps = read_shard(dataset.root / dataset.manifest.shards[0].name).maps
+    assert maps.rooms.tolist() == [4, 2]
+    assert maps.seed_points[0, 0].tolist() == [2, 2]
 
 
 def test_a_missing_array_and_headers_that_lie_are_refused(folder: Path, tmp_path: Path) -> None:

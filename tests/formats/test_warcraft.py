@@ -80,6 +80,38 @@ def test_weights_may_be_rounded_as_any_float_rounds_them(dtype: str, cost: int) 
     assert to_terrain(product, 0.1, "a").tolist() == [[cost]]
 
 
+@pytest.mark.parametrize("dtype", ["float16", "float32", "float64"])
+def test_weights_are_rounded_by_no_more(dtype: str) -> None:
+    """Floats just above 8 lie 8 eps apart, those below 4 eps, and 8 eps are tolerated."""
+    for towards, accepted in ((np.inf, 1), (0, 2)):
+        weight = np.full((1, 1), 8, np.dtype(dtype))
+        for _ in range(accepted):
+            weight = np.nextafter(weight, weight.dtype.type(towards))
+            assert to_terrain(weight, 0.1, "a").tolist() == [[80]]
+        weight = np.nextafter(weight, weight.dtype.type(towards))
+        with pytest.raises(FormatError, match="expected a whole multiple"):
+            to_terrain(weight, 0.1, "a")
+
+
+def test_a_bad_weight_is_named_in_a_map_of_many_rows() -> None:
+    """Large maps are converted a block of rows at a time."""
+    weights = np.full((700, 600), 0.8, np.float32)
+    assert (to_terrain(weights, 0.1, "a") == 8).all()
+    weights[650, 7] = 0.85
+    with pytest.raises(FormatError, match=re.escape("a: cell (650, 7) has weight 0.85")):
+        to_terrain(weights, 0.1, "a")
+
+
+def test_a_split_with_pictures_alone_is_named(folder: Path) -> None:
+    """A download that has begun with the pictures is not left out in silence."""
+    for name in ("vertex_weights", "shortest_paths"):
+        (folder / f"train_{name}.npy").unlink()
+    collection = read_any(folder)
+    path = folder / "train_vertex_weights.npy"
+    assert collection.left_out == [(str(path), "no such file")]
+    assert {foreign_map.split for foreign_map in collection.maps} == {1, 2}
+
+
 @given(st.integers(1, 255), st.sampled_from([0.1, 0.5, 1.0, 3.0, 1e-3]))
 def test_every_multiple_of_a_unit_comes_back(cost: int, unit: float) -> None:
     """In float64, and as whole numbers where the unit is 1 or 3."""

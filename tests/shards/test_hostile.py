@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import os
 import pickle
 import struct
@@ -147,6 +148,39 @@ def large_before_bad(path: Path) -> None:
         archive.writestr("arr_3.npy", wild.npy((1, 1, 1, 1), b"\0"))
 
 
+def tiles_before_bad(path: Path, *, is_path: bool) -> None:
+    """Write an .npz of tile-based sets: some 1 GiB of sound numbers, and a bad one at the end.
+
+    Args:
+        path: of the file.
+        is_path: whether sixty paths on a map of 4,096 x 4,096 cells are long and the last one is
+            bad; otherwise the weights of many maps.
+    """
+    side = 4096 if is_path else 64
+    maps = 1 if is_path else 2**17
+    sources = 60 if is_path else 1
+    shapes = {
+        "maps": (maps, 1, 1, 3),
+        "costs": (maps, side, side),
+        "targets": (maps, 1, 2),
+        "sources": (maps, 1, sources, 2),
+        "paths": (maps, 1, sources, side, side),
+    }
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, shape in shapes.items():
+            fill = b"\x0a" if name == "costs" else b"\0"
+            is_bad = name == ("paths" if is_path else "costs")
+            last = (b"\2" if is_path else b"\0") if is_bad else fill
+            left = math.prod(shape) - 1
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                member.write(wild.npy(shape, b""))
+                while left:
+                    count = min(left, 2**24)
+                    member.write(fill * count)
+                    left -= count
+                member.write(last)
+
+
 def text_chunk(size: int) -> bytes:
     """Return a PNG with a compressed text of ``size`` zeros."""
     good = wild.png(3, 4, depth=8)
@@ -207,6 +241,9 @@ def format_cases(folder: Path, _: Path) -> Iterator[Case]:
         yield "format", folder / name, "FormatError"
     large_before_bad(folder / "t.npz")
     yield "format", folder / "t.npz", "FormatError"
+    for name, is_path in (("u.npz", True), ("v.npz", False)):
+        tiles_before_bad(folder / name, is_path=is_path)
+        yield "format", folder / name, "FormatError"
 
 
 # --- saved problems ----------------------------------------------------------------------------

@@ -145,10 +145,8 @@ def test_one_link_among_files_is_its_fault_alone(real: Path, tmp_path: Path) -> 
         Root.open(root).open_shard(0)
     (tmp_path / second.name).unlink()
     (fault,) = verify(root, follow_links=True)
-    assert (
-        fault
-        == f"{second}: a link to {tmp_path / second.name}, where there is no file, expected a plain file"
-    )
+    target = tmp_path / second.name
+    assert fault == f"{second}: a link to {target}, where there is no file, expected a plain file"
     brought = imported(tmp_path / "imported")
     (tmp_path / "record").write_bytes((brought / PROVENANCE).read_bytes())
     (brought / PROVENANCE).unlink()
