@@ -102,9 +102,11 @@ def summary(
 
 def one_line(root: str, manifest: Manifest) -> str:
     """Return the facts about one of several datasets that an import has made, on one line."""
+    from mapdata.describe.dataset_card import counted
+
     rows, columns = manifest.map_size
     return (
-        f"{root}: {manifest.done:,} maps of {rows} x {columns} cells, "
+        f"{root}: {counted(manifest.done, 'map')} of {rows} x {columns} cells, "
         f"{manifest.resolution:g} m per cell; {_split_text(manifest)}"
     )
 

@@ -52,7 +52,9 @@ def load_problems(
         return ProblemSet.read(root, maps, **sampling_options)
     # A file that does not know one of these options refuses it, so only those in use are passed.
     file_options = {"count": maps, "seed": seed, "until_hard": sampling_options.get("until_hard")}
-    options_in_use = {name: option for name, option in file_options.items() if option is not None}
+    options_in_use: dict[str, Any] = {
+        name: option for name, option in file_options.items() if option is not None
+    }
     problems = read_problems(root[0], Limits(progress=True), **options_in_use)
     # The flags' default, 8-connected, does not mean that the user asked for this movement.
     if sampling_options.get("movement") not in (None, Movement(8), problems.movement):

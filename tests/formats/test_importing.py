@@ -486,3 +486,21 @@ def test_what_identifies_imported_maps(tmp_path: Path, capsys: pytest.CaptureFix
         for said in (metres, fine.content_hash, "4-connected", "resolution and movement identify"):
             assert said in info
             assert said in card(root)
+
+
+def test_an_import_of_several_sizes_prints_a_line_for_each(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The datasets are many, and a summary of each would hide what the import says of all."""
+    (tmp_path / "in").mkdir()
+    for k in range(3):
+        np.save(tmp_path / "in" / f"{k}.npy", np.zeros((k + 1, 4, 5 + k), np.uint8))
+    code, out, _ = cli(capsys, "import", tmp_path / "in", tmp_path / "out")
+    assert code == 0
+    lines = [line for line in out.splitlines() if not line.startswith("note:")]
+    assert lines == [
+        f"{tmp_path}/out/4x5: 1 map of 4 x 5 cells, 0.1 m per cell; train 1, val 0, test 0",
+        f"{tmp_path}/out/4x6: 2 maps of 4 x 6 cells, 0.1 m per cell; train 2, val 0, test 0",
+        f"{tmp_path}/out/4x7: 3 maps of 4 x 7 cells, 0.1 m per cell; train 1, val 1, test 1",
+        "3 datasets, one for each size and resolution: 'mapdata info' tells more of each",
+    ]

@@ -103,9 +103,9 @@ def test_every_door_follows_links_on_demand(
     """What takes a dataset takes one of links, too; the command line as well as Python."""
     root = hub(tmp_path, real)
     assert card(root, follow_links=True).count("\n") == card(real).count("\n")
-    read = {"movement": Movement(8), "split": "train"}
-    problems = ProblemSet.read(root, follow_links=True, **read)
-    assert problems.content_hash == ProblemSet.read(real, **read).content_hash
+    problems = ProblemSet.read(root, movement=Movement(8), split="train", follow_links=True)
+    expected = ProblemSet.read(real, movement=Movement(8), split="train")
+    assert problems.content_hash == expected.content_hash
     export(root, tmp_path / "release", "movingai", follow_links=True)
     export_problems(root, tmp_path / "set", split="train", follow_links=True)
     with pytest.raises(ValueError, match="follow_links: does nothing for a recipe"):
