@@ -25,6 +25,13 @@ def images(folder: Path, _root: Path) -> None:
     np.save(folder / "b.npy", GRID)
 
 
+def text(folder: Path, _root: Path) -> None:
+    """Write two mazes of letters."""
+    letters = "\n".join("".join(".#"[cell] for cell in row) for row in GRID.tolist())
+    for name in ("a.txt", "b.txt"):
+        (folder / name).write_text(f"{letters}\n")
+
+
 def tilebased(folder: Path, _root: Path) -> None:
     """Write one split."""
     random = np.random.default_rng(1)
@@ -70,6 +77,7 @@ def release(name: str) -> Callable[[Path, Path], None]:
 
 WRITERS: dict[str, Callable[[Path, Path], None]] = {
     "images": images,
+    "text": text,
     "tilebased": tilebased,
     "warcraft": warcraft,
     "transpath": transpath,
