@@ -233,7 +233,10 @@ def _inspect(location: str, follow_links: bool, progress: bool) -> Inspection:
     try:
         manifest = load_manifest(location, follow_links)
     except LinkError as error:
-        # Without the manifest the other files tell nothing, and they are probably links as well.
+        # The shards are probably links as well. Sound shards in the folder say what it was.
+        inspection = _inspect_without_manifest(location, error, follow_links, progress)
+        if inspection.manifest is not None:
+            return inspection
         fault = Corruption(f"{location}/{MANIFEST}", str(error))
         return Inspection(location, None, (fault,))
     except (ShardError, DatasetNotFoundError) as error:

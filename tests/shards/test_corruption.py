@@ -351,8 +351,8 @@ def test_a_replaced_shard_is_no_fault_of_a_running_build(
     read = load_manifest
     extended: list[Path] = []
 
-    def load_old_manifest(location: str) -> Manifest:
-        manifest = read(location)
+    def load_old_manifest(location: str, follow_links: bool = False) -> Manifest:
+        manifest = read(location, follow_links)
         if not extended:
             extended.append(root)
             make(root, 18)
