@@ -38,7 +38,7 @@ from planner_results import Results, this_run
 from mapdata import MapDataModule, MapGenerator, MapSpec, Maze, Movement, ProblemSet, evaluate
 from mapdata.arrays import Bytes
 from mapdata.cli import load_problems
-from mapdata.evaluation import BatchPlanner, Plan, Planner, classical
+from mapdata.evaluation import TIMES, BatchPlanner, Plan, Planner, classical
 from mapdata.limits import Cell
 from mapdata.models import GuidedSearch, NeuralAstar, PathPredictor, fast_precision
 from mapdata.models.evaluate import SHIPPED, load_weights
@@ -113,6 +113,9 @@ COLUMNS = {
 
 SHORT = ("ms_batched", "expansion_ratio", "opt", "p_exp", "hmean")
 """Columns of the tables of planners.md."""
+
+TIME_INTERVALS = [f"{name}_{end}" for name in TIMES for end in ("low", "high")]
+"""Columns of `evaluate` with the intervals of its own times, which the tables do not show."""
 
 WITH_INTERVAL = ("expansion_ratio", "opt", "cost_ratio", "p_exp", "hmean")
 
@@ -214,7 +217,8 @@ def measured(
     for planner in planners:
         for column, ms in times_of(planner, problems).items():
             table.loc[planner.name, column] = ms
-    return table.reset_index()
+    # These are intervals of other times than those above.
+    return table.reset_index().drop(columns=TIME_INTERVALS)
 
 
 def measure(results: Results, name: str, planners: Sequence[Planner], command: str) -> None:

@@ -861,7 +861,7 @@ class MapDataset(SampledProblemDataset):
         grids = self._inflated(stored_grids)
         batch = self._as_batch(numbers, numbers, grids, starts, goals, compute_stored_maps)
         if isinstance(self.serving.problems, Route) and self._labels_fit:
-            batch.compute_paths = lambda: self.reader.paths(stored, self.serving.search)
+            batch.compute_paths = lambda search: self.reader.paths(stored, search)
         return batch
 
     def _stored_maps(self, map_numbers: Ints) -> StoredMaps:
@@ -937,8 +937,8 @@ def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:
         flat_cells = cells.reshape(-1, 2)
         return transform_cells(flat_cells, cell_codes, rows, columns).reshape(cells.shape)
 
-    def compute_paths() -> Paths:
-        paths = batch.paths
+    def compute_paths(search: str) -> Paths:
+        paths = (batch if search == batch.search else batch.with_astar).paths
         return paths._replace(cells=transform(paths.cells, np.diff(paths.offsets)))
 
     def compute_rooms() -> Rooms:

@@ -94,6 +94,11 @@ class StoredMaps(NamedTuple):
     terrain: Bytes | None
 
 
+def _no_known_paths(search: str) -> None:
+    """Return None: no paths are known of any search."""
+    del search
+
+
 @dataclass
 class Batch:
     """B problems, from which the functions of `FIELDS` compute the fields.
@@ -115,7 +120,7 @@ class Batch:
             without ``augment``.
         requested_fields: names of the fields that will be computed from this batch.
         max_length: fixed number of rows of ``path``; None for a multiple of 16.
-        compute_paths: returns the paths; None to search them.
+        compute_paths: returns the paths of "bfs" or "astar", or None if they must be searched.
         radius: of the robot, in cells.
         has_terrain: whether the stored maps have terrain.
     """
@@ -132,7 +137,7 @@ class Batch:
     symmetries: Ints
     requested_fields: tuple[str, ...]
     max_length: int | None = None
-    compute_paths: Callable[[], Paths] | None = None
+    compute_paths: Callable[[str], Paths | None] = _no_known_paths
     radius: float = 0.0
     has_terrain: bool = False
 
@@ -141,8 +146,9 @@ class Batch:
     @cached_property
     def paths(self) -> Paths:
         """The paths, read or searched."""
-        if self.compute_paths:
-            return self.compute_paths()
+        known_paths = self.compute_paths(self.search)
+        if known_paths is not None:
+            return known_paths
         # An end is occupied where the robot does not fit. Such a problem has no path.
         if self.search == "astar" and self.terrain is not None:
             solved, first_unsolved, high_cost = search_terrains(
@@ -155,6 +161,15 @@ class Batch:
                 search, self.grids, self.starts, self.goals, self.movement, allow_occupied_ends=True
             )
         return Paths(solved.cells, solved.offsets, solved.iterations)
+
+    @property
+    def with_astar(self) -> Batch:
+        """The same problems with the paths of A*, whichever search is served."""
+        return self if self.search == "astar" else self._solved_by_astar
+
+    @cached_property
+    def _solved_by_astar(self) -> Batch:
+        return replace(self, search="astar")
 
     @cached_property
     def stored_maps(self) -> StoredMaps:
@@ -302,7 +317,7 @@ def hardness(batch: Batch) -> Float32s:
     optimal_costs = batch.costs
     # With diagonal moves and on terrain the number of moves, which BFS minimizes, is not the cost.
     if batch.search == "bfs" and (batch.movement.connectivity == 8 or batch.has_terrain):
-        optimal_costs = replace(batch, search="astar", compute_paths=None).costs
+        optimal_costs = batch.with_astar.costs
     ratios = hardness_of(
         optimal_costs, batch.starts, batch.goals, batch.movement, batch.min_cell_costs
     )
@@ -376,12 +391,13 @@ def clearance(batch: Batch) -> Float32s:
 def path_probability(batch: Batch) -> Float32s:
     """``path_probability``: (B, 1, H, W) float32, how close a cell n is to a shortest path.
 
-    L / (d(start, n) + d(n, goal) + d(n, path)) for the path's cost L, set to 0 below 0.95.
+    L / (d(start, n) + d(n, goal) + d(n, path)), set to 0 below 0.95. The path is that of A*, and L
+    its cost, whichever ``search`` is served: the path of BFS may cost more than a shortest one.
 
     TransPath's path probability map "PPM" (https://arxiv.org/abs/2212.11730); 0 everywhere without
     a path.
     """
-    cells, offsets, _ = batch.paths
+    cells, offsets, _ = batch.with_astar.paths
     rule = move_rule(batch.movement)
     if batch.terrain is None:
         return path_probabilities(batch.grids, batch.starts, batch.goals, cells, offsets, rule)

@@ -156,7 +156,9 @@ class ProblemSetDataset(ProblemDataset):
             symmetries=np.zeros(len(indices), np.int64),
             requested_fields=self._field_names,
             max_length=self.serving.max_length,
-            compute_paths=(lambda: self._optimal_paths(indices)) if search == "astar" else None,
+            compute_paths=lambda search: (
+                self._optimal_paths(indices) if search == "astar" else None
+            ),
             has_terrain=self.has_terrain,
         )
 

@@ -4,10 +4,12 @@ from mapdata.describe.intervals import confidence_intervals
 from mapdata.evaluation.metrics import (
     METRICS,
     TERRAIN_METRICS,
+    TIMES,
     BatchPlanner,
     Plan,
     Planner,
     evaluate,
+    median_interval,
     score_paths,
     to_text,
     with_interval,
@@ -25,6 +27,7 @@ from mapdata.evaluation.planners import (
 __all__ = [
     "METRICS",
     "TERRAIN_METRICS",
+    "TIMES",
     "BatchPlanner",
     "Batched",
     "BestFirst",
@@ -37,6 +40,7 @@ __all__ = [
     "classical",
     "confidence_intervals",
     "evaluate",
+    "median_interval",
     "score_paths",
     "to_text",
     "with_interval",

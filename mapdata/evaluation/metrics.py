@@ -30,6 +30,9 @@ METRICS = ("success", "opt", "cost_ratio", "expansion_ratio", "p_exp", "hmean")
 TERRAIN_METRICS = (*METRICS, "regret")
 """The same for problems on terrain."""
 
+TIMES = ("ms", "ms_batched")
+"""Columns of the table that are times. They have an interval, too."""
+
 _BATCH = 64
 """Number of problems in a call of ``plan_batch``."""
 
@@ -112,11 +115,17 @@ def evaluate(
       does instead of expansions.
     - ``<name>_low``, ``<name>_high`` of the six (on terrain, seven) metrics: 95 % percentile
       interval over resampled problems, with the same resamples for all planners.
-    - ``ms``: mean milliseconds of a call of `plan`, which solves one problem.
-    - ``ms_batched``: mean milliseconds a problem in calls of `plan_batch` with 64 problems; NaN for
-      a planner without it. It is of all problems in both rows.
+    - ``ms``: milliseconds of a call of `plan`, which solves one problem: the median over problems.
+    - ``ms_batched``: milliseconds a problem in calls of `plan_batch` with 64 problems: the median
+      over calls, of all problems in both rows; NaN for a planner without it.
+    - ``ms_low``, ``ms_high``, ``ms_batched_low``, ``ms_batched_high``: 95 % intervals of the two
+      medians, from the ranks of the measured times. They are the smallest and the largest time
+      where there are eight or fewer.
 
-    The first call of each planner is not timed. All columns but ``ms_batched`` are of `plan`.
+    Times are processor time of this process (`time.process_time`), the sum over its threads. So
+    other programs on the machine hardly change them. They leave out what a planner only waits for,
+    such as a GPU or another process. The first call of each planner is not timed. All columns but
+    those of ``ms_batched`` are of `plan`.
 
     On terrain, L is the cost on the true terrain. A `Planner` that takes terrain receives it; any
     other one plans on the grid alone, as if all free cells cost the same. Nearly all problems on
@@ -211,15 +220,33 @@ def score_paths(
         raise ValueError(f"paths: got {len(paths)}, expected one for each of {len(problems)}")
     costs = np.array([_cost(path, problems, k) for k, path in enumerate(paths)])
     unknown = np.full(len(problems), np.nan)
-    run = _Run(costs, expansions, unknown, unknown, unknown, np.nan)
+    run = _Run(costs, expansions, unknown, unknown, unknown, np.empty(0))
     return _table([name], [run], problems, problems.optimal.iterations, bootstrap, seed)
+
+
+def median_interval(values: Floats) -> Floats:
+    """Return the median of values, and the lower and the upper end of its 95 % interval, (3,).
+
+    The ends are the values of ranks n / 2 - 0.98 sqrt(n) and 1 + n / 2 + 0.98 sqrt(n), rounded
+    (Conover, Practical Nonparametric Statistics, section 3.2: half of all values lie below the true
+    median, so the number of measured values below it is binomial). No distribution of the values is
+    assumed. All three are NaN without values.
+    """
+    n = len(values)
+    if n == 0:
+        return np.full(3, np.nan)
+    ascending = np.sort(values)
+    half_width = 0.98 * np.sqrt(n)
+    low_rank = max(round(n / 2 - half_width), 1)
+    high_rank = min(round(1 + n / 2 + half_width), n)
+    return np.array([np.median(values), ascending[low_rank - 1], ascending[high_rank - 1]])
 
 
 def to_text(table: pd.DataFrame) -> str:
     """Return a table of `evaluate` as text: a block of all problems, and a block of the hard ones.
 
-    Each metric is followed by half the width of its interval. On terrain the second block is left
-    out if all problems are hard, because it would repeat the first one.
+    Each metric and time is followed by half the width of its interval. On terrain the second block
+    is left out if all problems are hard, because it would repeat the first one.
     """
     blocks = []
     if "regret" in table and table["n"].nunique() == 1:
@@ -230,8 +257,10 @@ def to_text(table: pd.DataFrame) -> str:
             text[metric] = with_interval(rows, metric)
         if "regret" in rows:
             text["regret"] = with_interval(rows, "regret", decimals=5)
-        for name in ("prepared_ratio", "look_ratio", "ms", "ms_batched"):
+        for name in ("prepared_ratio", "look_ratio"):
             text[name] = rows[name].map("{:.3f}".format)
+        for name in TIMES:
+            text[name] = with_interval(rows, name)
         heading = f"{subset}: {rows['n'].iloc[0]} problems"
         if subset == "hard":
             heading += f", hardness at least {HARD}"
@@ -255,7 +284,7 @@ class _Run(NamedTuple):
         prepared: (N,) numbers of prepared cells.
         looks: (N,) numbers of visited cells.
         ms: (N,) milliseconds that `plan` took.
-        ms_batched: mean milliseconds a problem in batches, NaN without `plan_batch`.
+        ms_batched: (K,) milliseconds a problem of K calls of `plan_batch`; (0,) without it.
     """
 
     costs: Floats
@@ -263,7 +292,7 @@ class _Run(NamedTuple):
     prepared: Floats
     looks: Floats
     ms: Floats
-    ms_batched: float
+    ms_batched: Floats
 
 
 def _table(
@@ -292,11 +321,16 @@ def _table(
             for name, counts in (("prepared_ratio", run.prepared), ("look_ratio", run.looks)):
                 ratios = counts[mask] / reference_expansions[mask]
                 row[name] = ratios.mean() if mask.any() else np.nan
-            row["ms"] = run.ms[mask].mean() if mask.any() else np.nan
-            row["ms_batched"] = run.ms_batched
+            times = {"ms": median_interval(run.ms[mask])}
+            times["ms_batched"] = median_interval(run.ms_batched)
+            for name, (median, _, _) in times.items():
+                row[name] = median
             for m, name in enumerate(metric_names):
                 row[f"{name}_low"] = lows[k, m]
                 row[f"{name}_high"] = highs[k, m]
+            for name, (_, low, high) in times.items():
+                row[f"{name}_low"] = low
+                row[f"{name}_high"] = high
             rows.append(row)
     return pd.DataFrame(rows)
 
@@ -334,18 +368,18 @@ def _run(planner: Planner, problems: ProblemSet, advance: Advance) -> _Run:
         goal = tuple(problems.goals[k].tolist())
         grid = problems.grids[k].copy()  # a planner may write to it
         terrain = _terrain_argument(planner, problems, k)
-        began = time.perf_counter()
+        began = time.process_time()
         plan = planner.plan(grid, start, goal, **terrain)
-        ms[k] = 1000 * (time.perf_counter() - began)
+        ms[k] = 1000 * (time.process_time() - began)
         costs[k] = _cost(plan.path, problems, k)
         expansions[k] = plan.expansions
         prepared[k] = plan.prepared
         looks[k] = plan.expansions if plan.looks is None else plan.looks
         if repetition > 0:
             advance(1)
-    ms_batched = np.nan
+    ms_batched = np.empty(0)
     if isinstance(planner, BatchPlanner):
-        ms_batched = _mean_batched_ms(planner, problems, advance)
+        ms_batched = _batched_ms(planner, problems, advance)
     return _Run(costs, expansions, prepared, looks, ms, ms_batched)
 
 
@@ -369,13 +403,13 @@ def _outcomes(run: _Run, problems: ProblemSet, reference_expansions: Floats | In
     return np.column_stack([is_solved, is_optimal, cost_ratio, expansion_ratio, saved])
 
 
-def _mean_batched_ms(planner: BatchPlanner, problems: ProblemSet, advance: Advance) -> float:
-    """Return the mean milliseconds a problem of ``plan_batch``, as `_run` does of ``plan``.
+def _batched_ms(planner: BatchPlanner, problems: ProblemSet, advance: Advance) -> Floats:
+    """Return the milliseconds a problem of each call of ``plan_batch``, as `_run` does of ``plan``.
 
     Raises:
         ValueError: it returns another number of plans than it got problems.
     """
-    seconds = []
+    ms = []
     # The first batch is solved twice, and the second time counts, as in `_run`.
     for repetition, first in enumerate((0, *range(0, len(problems), _BATCH))):
         batch = slice(first, first + _BATCH)
@@ -383,16 +417,16 @@ def _mean_batched_ms(planner: BatchPlanner, problems: ProblemSet, advance: Advan
         starts = problems.starts[batch].copy()
         goals = problems.goals[batch].copy()
         terrain = _terrain_argument(planner, problems, batch)
-        began = time.perf_counter()
+        began = time.process_time()
         plans = planner.plan_batch(grids, starts, goals, **terrain)
-        seconds.append(time.perf_counter() - began)
+        ms.append(1000 * (time.process_time() - began) / len(starts))
         if len(plans) != len(starts):
             raise ValueError(
                 f"{planner.name}: plan_batch gave {len(plans)} plans for {len(starts)} problems"
             )
         if repetition > 0:
             advance(len(plans))
-    return 1000 * sum(seconds[1:]) / len(problems)
+    return np.array(ms[1:])
 
 
 def _cost(path: npt.ArrayLike, problems: ProblemSet, k: int) -> float:

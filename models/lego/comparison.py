@@ -146,7 +146,8 @@ def compare(
       vertices, the mean over the problems that have a path on both; NaN without such problems.
     - ``<name>_low``, ``<name>_high`` of both: a 95 % percentile interval over resampled problems;
       all rows have the same resamples.
-    - ``ms``: time to sample the points of a problem, in milliseconds.
+    - ``ms``: processor time of this process to sample the points of a problem, in milliseconds: the
+      median over batches of the time of a batch over its number of problems.
 
     Args:
         rows: the samplers, by name.
@@ -190,18 +191,18 @@ def _lengths(
 ) -> tuple[Floats, float]:
     """Return path lengths (N,), inf without a path, and milliseconds of sampling a problem."""
     lengths = []
-    seconds = 0.0
+    ms = []
     seeds = range(first_seed, first_seed + len(problems))
     for k in range(0, len(problems), BATCH):
         batch = slice(k, k + BATCH)
         grids = problems.grids[batch]
         starts = problems.starts[batch]
         goals = problems.goals[batch]
-        started = time.perf_counter()
+        started = time.process_time()
         points = contender(grids, starts, goals, n, seeds[batch])
-        seconds += time.perf_counter() - started
+        ms.append(1000 * (time.process_time() - started) / len(starts))
         lengths.append(path_lengths(grids, starts, goals, points))
-    return np.concatenate(lengths), 1000 * seconds / len(problems)
+    return np.concatenate(lengths), float(np.median(ms))
 
 
 def _outcomes(lengths: Floats, dense: Floats, subset: Flags) -> Floats:

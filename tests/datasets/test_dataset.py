@@ -37,6 +37,8 @@ from mapdata import (
     Movement,
     OnlineMapDataset,
     Pairs,
+    ProblemSet,
+    ProblemSetDataset,
     Random,
     Route,
     Sample,
@@ -47,7 +49,7 @@ from mapdata import (
     label,
 )
 from mapdata.datasets.arguments import FieldFunction
-from mapdata.datasets.dataset import keep_freed_memory
+from mapdata.datasets.dataset import ProblemDataset, keep_freed_memory
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.plotting import COLOURS
 from mapdata.shards import MANIFEST, Manifest, read_manifest
@@ -623,6 +625,35 @@ def test_an_augmented_sample_is_a_symmetry_of_the_plain_one(
     checked = {*GRID_FIELDS, *CELL_FIELDS, *UNTURNED_FIELDS}
     others = {"optimal_moves", "waypoints", "image", "symmetry"}
     assert checked | others == {*samples.ALL_FIELDS}
+
+
+@pytest.mark.parametrize("kind", ["stored", "augmented", "random", "online", "set", "terrain"])
+def test_path_probability_is_that_of_astar_whatever_search_is_served(
+    roots: dict[str, str], kind: str
+) -> None:
+    """It is the same for both searches, and at least 0.95 on the whole path of A*."""
+    datasets: list[ProblemDataset] = []
+    for search in ("astar", "bfs"):
+        fields = ("path", "path_probability")
+        movement = Movement(8)
+        options: dict[str, Any] = {"search": search, "augment": kind == "augmented"}
+        if kind == "set":
+            problem_set = ProblemSet.sample("cave", seed=3, maps=12, movement=movement)
+            datasets.append(ProblemSetDataset(problem_set, fields, **options))
+        elif kind in ("online", "terrain"):
+            preset = {"online": "narrow", "terrain": "tiles"}[kind]
+            options["movement"] = movement
+            datasets.append(OnlineMapDataset(preset, 7, 12, None, fields, **options))
+        else:
+            options["problems"] = "random" if kind == "random" else "route"
+            datasets.append(MapDataset(roots["wide"], "train", fields, **options))
+    count = min(len(datasets[0]), 40)
+    by_astar, by_bfs = (dataset[:count] for dataset in datasets)
+    assert not torch.equal(by_astar.path, by_bfs.path)
+    assert torch.equal(by_astar.path_probability, by_bfs.path_probability)
+    problem, step = (by_astar.path[:, :, 0] >= 0).nonzero(as_tuple=True)
+    rows, columns = by_astar.path[problem, step].T
+    assert by_astar.path_probability[problem, 0, rows, columns].min() >= 0.95
 
 
 def test_augmentation_is_drawn_anew_each_epoch(root: str) -> None:

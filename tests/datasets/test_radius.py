@@ -170,7 +170,7 @@ def assert_true(sample: Sample, grid: Array, search: str, movement: Movement) ->
     start, goal = ends_of(sample)
     points = samples.cells_of(sample.seed_points)
     found = solved(grid, start, goal, search, movement)
-    best = solved(grid, start, goal, "astar", movement).cost
+    best_path, best, _ = solved(grid, start, goal, "astar", movement)
     solvable = best >= 0
     costs = costs_to(grid, goal, movement)
     around_start = costs_to(grid, start, movement)
@@ -189,7 +189,7 @@ def assert_true(sample: Sample, grid: Array, search: str, movement: Movement) ->
         "cost_to_go": costs,
         "optimal_moves": moves_to_goal(grid, costs, movement),
         "heuristic_ratio": ratio,
-        "path_probability": probabilities(found.path, costs, grid, movement),
+        "path_probability": probabilities(best_path, costs, grid, movement),
         "clearance": clearance(grid),
     }
     numbers = {

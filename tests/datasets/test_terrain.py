@@ -109,7 +109,7 @@ def assert_fields_fit(sample: Sample, movement: Movement, search: str) -> None:
         mask = np.zeros(shape, np.uint8)
         mask[tuple(np.transpose(cells))] = 1
         np.testing.assert_array_equal(getattr(sample, name)[0], mask, err_msg=name)
-    assert_probabilities_fit(sample, path.path, movement)
+    assert_probabilities_fit(sample, optimal.path, movement)
     assert_matrix_fits(sample, movement, search)
 
 

@@ -216,7 +216,7 @@ def test_a_path_through_a_wall_is_named() -> None:
         compute_stored_maps=lambda: StoredMaps(np.array([5]), wall, None),
         symmetries=np.zeros(1, np.int64),
         requested_fields=("waypoints",),
-        compute_paths=lambda: Paths(path, np.array([0, 3]), np.array([3])),
+        compute_paths=lambda _: Paths(path, np.array([0, 3]), np.array([3])),
     )
     with pytest.raises(ValueError, match="problem 17 has a stored path through occupied cells"):
         Waypoints()(batch)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,9 +21,10 @@ from helpers.figures import figure_of
 from helpers.reference import Cell
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation, Text
+from scipy import stats
 
 from mapdata import MapSpec, Plan, ProblemSet, astar, build, evaluate
-from mapdata.evaluation import METRICS, Planner, classical, to_text
+from mapdata.evaluation import METRICS, TIMES, Planner, classical, median_interval, metrics, to_text
 from mapdata.movement import Movement
 from mapdata.plotting import plot_planners
 
@@ -233,7 +235,7 @@ def test_the_table_has_two_rows_for_each_planner() -> None:
     columns = ["planner", "subset", "n", *METRICS]
     columns += ["prepared_ratio", "look_ratio", "ms", "ms_batched"]
     assert table.columns.tolist() == columns + [
-        f"{name}_{end}" for name in METRICS for end in ("low", "high")
+        f"{name}_{end}" for name in (*METRICS, *TIMES) for end in ("low", "high")
     ]
     assert (table["ms"] > 0).all()
     assert table["ms_batched"].isna().tolist() == ([False] * 11 + [True]) * 2
@@ -241,6 +243,55 @@ def test_the_table_has_two_rows_for_each_planner() -> None:
     assert "all: 3 problems" in text
     assert "hard: 1 problems, hardness at least 1.05" in text
     assert max(map(len, text.splitlines())) < 170
+
+
+@dataclass
+class Timed:
+    """A planner that takes a given processor time for each call, on a clock of the test."""
+
+    clock: list[float]
+    single_ms: dict[Cell, float]
+    batch_ms: list[float]
+    name: str = "timed"
+
+    def plan(self, grid: Grid, start: Cell, goal: Cell) -> Plan:
+        """Take the time of this goal."""
+        self.clock[0] += self.single_ms[goal] / 1000
+        return Plan(np.empty((0, 2), int), 1)
+
+    def plan_batch(self, grids: Grid, starts: Cells, goals: Cells) -> list[Plan]:
+        """Take the next of the times."""
+        self.clock[0] += self.batch_ms.pop(0) / 1000
+        return [Plan(np.empty((0, 2), int), 1)] * len(grids)
+
+
+def test_times_are_medians_of_processor_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first call is not counted, and one slow call changes the upper end alone."""
+    clock = [0.0]
+    # No other clock is there to be read.
+    monkeypatch.setattr(metrics, "time", SimpleNamespace(process_time=lambda: clock[0]))
+    problems = three()
+    single_ms = dict(zip(GOALS, (2.0, 900.0, 4.0), strict=True))
+    table = evaluate([Timed(clock, single_ms, [70, 9])], problems, bootstrap=5)
+    every = row(table, "timed", "all")
+    assert [every[name] for name in ("ms_low", "ms", "ms_high")] == pytest.approx([2, 4, 900])
+    assert [every[f"ms_batched{end}"] for end in ("_low", "", "_high")] == pytest.approx([3] * 3)
+    hard = row(table, "timed", "hard")  # the first problem alone
+    assert [hard[name] for name in ("ms_low", "ms", "ms_high")] == pytest.approx([2] * 3)
+    assert hard["ms_batched"] == pytest.approx(3)
+    assert "4.000 ±449.000" in to_text(table)
+
+
+@pytest.mark.parametrize("n", [6, 9, 25, 101, 1000])
+def test_the_interval_of_a_median_covers_it_in_19_of_20_samples(n: int) -> None:
+    """By the exact probability of scipy: the interval covers the median of the distribution if
+    the number of values below it is at least the lower rank, and less than the upper one.
+    """
+    values = np.random.default_rng(n).permutation(n) + 1.0  # each value is its rank
+    median, low_rank, high_rank = median_interval(values)
+    assert median == (n + 1) / 2
+    below = stats.binom(n, 0.5)
+    assert 0.93 < below.cdf(high_rank - 1) - below.cdf(low_rank - 1) < 0.975
 
 
 def test_a_subset_without_problems_has_nan() -> None:

@@ -319,6 +319,17 @@ def test_transpath_folders_read_as_its_loader_reads_them(exports: Path) -> None:
             assert arrays["focal"][k, 0, start[0], start[1]] == pytest.approx(1)
 
 
+def test_transpath_folders_are_the_same_for_both_searches(tmp_path: Path) -> None:
+    """On diagonals BFS finds paths that cost more than the best, and no label is of them."""
+    files = []
+    for search in ("astar", "bfs"):
+        out = tmp_path / search
+        export_problems("cave", out, format="transpath", count=4, search=search)
+        files.append({path.name: path.read_bytes() for path in (out / "train").glob("*.npy")})
+    assert len(files[0]) == 6
+    assert files[0] == files[1]
+
+
 def test_gppn_archives_read_as_its_loader_reads_them(exports: Path) -> None:
     """Its MazeDataset takes arr_0, arr_3 and arr_6, and the two arrays behind each."""
     moves = np.array([(-1, 0), (0, 1), (0, -1), (1, 0)])  # N, E, W, S
