@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from torch.utils.data import DataLoader, Dataset
 from torch.utils.data.distributed import DistributedSampler
 
 from mapdata.arrays import Ints, UInt32s
+from mapdata.checks import check_count
 from mapdata.datasets.sample import Sample
 from mapdata.jit import Int, kernel
 from mapdata.rng import ORDER, block
@@ -20,14 +22,45 @@ if TYPE_CHECKING:
 
 
 class LateLoader(DataLoader[Sample]):
-    """A DataLoader that starts when its first batch is requested, not when it is iterated over.
+    """The DataLoader of `MapDataModule`, which can go on in the middle of an epoch.
 
-    Lightning creates the iterator before it has restored the position of a checkpoint, and workers
-    prefetch batches at once.
+    `EpochSampler` orders its samples. The loader starts when its first batch is requested, not when
+    it is iterated over: Lightning creates the iterator before it has restored the position of a
+    checkpoint, and workers prefetch batches at once.
     """
 
+    _batches_handed_out: int = 0  # in the pass that began last
+
     def __iter__(self) -> Iterator[Any]:  # type: ignore[override]
-        yield from super().__iter__()
+        self._batches_handed_out = 0
+        for batch in super().__iter__():
+            self._batches_handed_out += 1
+            yield batch
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return where this loader is: an epoch, and how many of its batches were handed out.
+
+        Batches that workers have prefetched do not count. All values are numbers or None, so a
+        checkpoint can hold them. After the last batch of an epoch it is the begin of the next one.
+        """
+        # Under Trainer(overfit_batches=...) Lightning puts a sampler of its own in place of ours.
+        if not isinstance(self.sampler, EpochSampler):
+            return {}
+        return self.sampler.state_dict(self._batches_handed_out)
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Begin the next pass where another loader was when it returned ``state``.
+
+        The pass serves exactly the batches that were not handed out. Under a Trainer that resumes
+        from a checkpoint, the Trainer's own position counts, which leaves out a batch whose
+        training step did not end.
+
+        Raises:
+            ValueError: this is no state of such a loader.
+        """
+        self._batches_handed_out = 0
+        if isinstance(self.sampler, EpochSampler) and state != {}:
+            self.sampler.load_state_dict(state)
 
 
 class EpochSampler(DistributedSampler[Any]):
@@ -70,6 +103,11 @@ class EpochSampler(DistributedSampler[Any]):
         self.batch_size = batch_size
         self.sampling_seed = sampling_seed
         self.module = module
+        # Epoch and batch at which the last pass began. None before the first one, and after
+        # `set_epoch` or `load_state_dict`.
+        self._began: tuple[int, int] | None = None
+        # Epoch and batch that `load_state_dict` got. It counts if the next pass is of this epoch.
+        self._loaded = (0, 0)
 
     def __repr__(self) -> str:
         arguments = f"batch_size={self.batch_size}, sampling_seed={self.sampling_seed}"
@@ -86,10 +124,11 @@ class EpochSampler(DistributedSampler[Any]):
     def __iter__(self) -> Iterator[int]:
         rank, rank_count = self._rank()
         sample_count = len(self.dataset)  # type: ignore[arg-type]
+        epoch, batches_done = self._begin()
         if self.sampling_seed is None:
-            yield from range(rank, sample_count, rank_count)
+            in_order = range(rank, sample_count, rank_count)
+            yield from in_order[batches_done * self.batch_size :]
             return
-        epoch, batches_done = self._position()
         # As an array the order takes four bytes a sample. Python's integers take nine times as
         # much, so they are created for one batch at a time.
         order = np.arange(sample_count, dtype=np.uint32)
@@ -108,10 +147,70 @@ class EpochSampler(DistributedSampler[Any]):
             return torch.distributed.get_rank(), torch.distributed.get_world_size()
         return 0, 1
 
+    def set_epoch(self, epoch: int) -> None:
+        """Make the next pass that of ``epoch``."""
+        super().set_epoch(epoch)
+        self._began = None
+
+    def state_dict(self, batches_handed_out: int) -> dict[str, Any]:
+        """Return the position of a loader, as `LateLoader.state_dict` does.
+
+        Args:
+            batches_handed_out: by the loader in its last pass.
+        """
+        if self._began is not None:
+            epoch, first_batch = self._began
+            batches_done = first_batch + batches_handed_out
+        else:
+            epoch = self.epoch
+            loaded_epoch, loaded_batches = self._loaded
+            batches_done = loaded_batches if loaded_epoch == epoch else 0
+        if batches_done >= self._batch_count():
+            epoch += 1
+            batches_done = 0
+        return {"epoch": epoch, "batches_done": batches_done, **self._order()}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Begin the next pass at the position of a loader, as `LateLoader.load_state_dict` does."""
+        order = self._order()
+        names = ("epoch", "batches_done", *order)
+        if not isinstance(state, Mapping) or not set(names) <= set(state):
+            raise ValueError(
+                f"state: got {state!r}, expected what state_dict() of a loader of MapDataModule "
+                f"returned: a mapping with {', '.join(names)}"
+            )
+        epoch = check_count("epoch", state["epoch"], minimum=0)
+        batches_done = check_count("batches_done", state["batches_done"], minimum=0)
+        changed = [name for name in order if order[name] != state[name]]
+        if changed and batches_done:
+            changes = [f"{name} was {state[name]} and is {order[name]}" for name in changed]
+            warnings.warn(
+                f"this loader goes on in the middle of an epoch of another order "
+                f"({', '.join(changes)}): in this epoch some samples may come twice or not at all",
+                stacklevel=3,
+            )
+        self.set_epoch(epoch)
+        self._loaded = (epoch, batches_done)
+
+    def _order(self) -> dict[str, int | None]:
+        """Return what decides, beside the epoch, which samples the batches of this rank hold."""
+        return {
+            "batch_size": self.batch_size,
+            "problems": len(self.dataset),  # type: ignore[arg-type]
+            "ranks": self._rank()[1],
+            "sampling_seed": self.sampling_seed,
+        }
+
+    def _begin(self) -> tuple[int, int]:
+        """Begin a pass; return its epoch and the number of its batches that are done."""
+        self._began = self._position()
+        self._loaded = (0, 0)
+        return self._began
+
     def _position(self) -> tuple[int, int]:
-        """Return the epoch and the number of its batches that are done."""
+        """Return the epoch of the next pass and the number of its batches that are done."""
         trainer = getattr(self.module, "trainer", None)
-        if trainer is not None and trainer.training:
+        if self.sampling_seed is not None and trainer is not None and trainer.training:
             # This attribute of Lightning is not public, but no public one holds the number.
             # tests/datasets/test_datamodule.py would notice a change.
             batches_done = int(trainer.fit_loop.epoch_loop.batch_progress.current.ready)
@@ -119,7 +218,8 @@ class EpochSampler(DistributedSampler[Any]):
             return trainer.current_epoch, batches_done if is_within_epoch else 0
         epoch = self.epoch
         self.epoch += 1
-        return epoch, 0
+        loaded_epoch, loaded_batches = self._loaded
+        return epoch, loaded_batches if loaded_epoch == epoch else 0
 
     def _batch_count(self) -> int:
         """Return the number of batches of an epoch on this rank."""

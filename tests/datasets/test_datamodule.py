@@ -56,9 +56,6 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:.*does not have many workers which may be a bottleneck"),
     pytest.mark.filterwarnings("ignore:This DataLoader will create 3 worker:UserWarning"),
     pytest.mark.filterwarnings(
-        "ignore:You're resuming from a checkpoint that ended before the epoch ended"
-    ),
-    pytest.mark.filterwarnings(
         "ignore:You requested to overfit but enabled .* dataloader shuffling"
     ),
     pytest.mark.filterwarnings(
@@ -541,6 +538,98 @@ def test_a_resumed_epoch_goes_on_where_it_stopped(root: str, tmp_path: Path, cas
     assert 0 < done < len(whole.seen)
     assert rest.seen == whole.seen[done:]
     assert _is_within_an_epoch(whole.seen, done) == (not case.endswith("-end"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [0, 2])
+@pytest.mark.parametrize("step", [3, 7])
+def test_a_loader_alone_goes_on_where_it_stopped(
+    root: str, tmp_path: Path, step: int, workers: int
+) -> None:
+    """A Trainer that knows the loader, but not its data module, saves the loader's own state."""
+    every = ModelCheckpoint(tmp_path, "{step}", every_n_train_steps=1, save_top_k=-1)
+    arguments: dict[str, Any] = {"problems": "random", "num_workers": workers}
+    whole, rest = Model(), Model()
+    run = trainer(callbacks=[every], enable_checkpointing=True)
+    data = module(root, **arguments)
+    run.fit(whole, data.train_dataloader(), data.val_dataloader())
+    loaders = data.train_dataloader(), data.val_dataloader()
+    trainer().fit(rest, *loaders, ckpt_path=tmp_path / f"step={step}.ckpt")
+    assert rest.seen == whole.seen[step:]
+    assert _is_within_an_epoch(whole.seen, step)
+
+
+@pytest.mark.parametrize(("workers", "split"), [(0, "train"), (0, "val"), (2, "train")])
+def test_a_plain_loop_goes_on_where_it_stopped(root: str, workers: int, split: str) -> None:
+    """From the state after each batch of two epochs; what workers prefetched is not lost."""
+    arguments: dict[str, Any] = {"problems": "random", "augment": True, "num_workers": workers}
+
+    def new_loader() -> Any:
+        data = module(root, batch_size=4 if split == "val" else 16, **arguments)
+        return data.train_dataloader() if split == "train" else data.val_dataloader()
+
+    whole = []
+    loader = new_loader()
+    states = [loader.state_dict()]
+    for _ in range(2):
+        for batch in loader:
+            whole.append(batch)
+            states.append(loader.state_dict())
+    assert pickle.loads(pickle.dumps(states)) == states
+    assert len(whole) == 2 * len(loader) >= 4
+    for done in range(len(whole)) if workers == 0 else (1,):
+        state = states[done]
+        resumed = new_loader()
+        resumed.load_state_dict(state)
+        assert resumed.state_dict() == state
+        passes = 2 - done // len(loader)
+        found = [batch for _ in range(passes) for batch in resumed]
+        samples.assert_all_same(found, whole[done:])
+        assert resumed.state_dict() == states[-1]
+
+
+def test_a_pass_that_was_left_is_the_state_until_the_next_one_begins(root: str) -> None:
+    """`break` loses nothing; the next pass of the same loader is the next epoch."""
+    loader: Any = module(root).train_dataloader()
+    for _ in zip(range(2), loader, strict=False):
+        pass
+    next(iter(loader))
+    state = loader.state_dict()
+    assert (state["epoch"], state["batches_done"]) == (1, 1)
+    loader.sampler.set_epoch(7)
+    state = loader.state_dict()
+    assert (state["epoch"], state["batches_done"]) == (7, 0)
+
+
+def test_a_state_of_another_order_is_told(root: str) -> None:
+    """In the middle of an epoch; at its begin any order will do."""
+    loader: Any = module(root).train_dataloader()
+    at_the_begin = loader.state_dict()
+    next(iter(loader))
+    state = loader.state_dict()
+    other: Any = module(root, batch_size=5, sampling_seed=3).train_dataloader()
+    other.load_state_dict(at_the_begin)
+    changes = "batch_size was 8 and is 5, sampling_seed was 0 and is 3"
+    with pytest.warns(UserWarning, match=f"an epoch of another order .{changes}"):
+        other.load_state_dict(state)
+    for wrong, message in (
+        ({"epoch": 3}, "state: got .'epoch': 3., expected what state_dict"),
+        (7, "state: got 7, expected what state_dict"),
+        ({**state, "batches_done": -1}, "batches_done: got -1"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            other.load_state_dict(wrong)
+
+
+def test_a_trainer_that_overfits_saves_and_resumes(root: str, tmp_path: Path) -> None:
+    """Its loader has a sampler of Lightning, whose position is not ours to know."""
+    run = trainer(overfit_batches=2)
+    run.fit(Model(), datamodule=module(root))
+    run.save_checkpoint(tmp_path / "last.ckpt")
+    resumed = Model()
+    again = trainer(max_epochs=3)
+    again.fit(resumed, datamodule=module(root), ckpt_path=tmp_path / "last.ckpt")
+    assert {one.epoch for one in resumed.seen} == {2}
 
 
 def _is_within_an_epoch(seen: list[Seen], done: int) -> bool:
