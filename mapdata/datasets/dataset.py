@@ -41,6 +41,7 @@ from mapdata.datasets.fields import (
 )
 from mapdata.datasets.info import DatasetInfo, field_infos
 from mapdata.datasets.problem_statistics import SAMPLE, measure
+from mapdata.datasets.repeats import RepeatWatch, warn_of_repeats
 from mapdata.datasets.sample import Rows, Sample, cast, row, sample_class, stack
 from mapdata.datasets.tiles import Tiles
 from mapdata.describe.dataset_card import movement_text
@@ -176,7 +177,25 @@ class ProblemDataset(Dataset[Sample], ABC):
         self._field_names = serving.names
         self.dtype = torch_dtype(serving.dtype, serving.names)
         self.transform = serving.transform
+        self._watch = RepeatWatch() if self._drawn_anew else None
         keep_freed_memory()
+
+    @property
+    def _drawn_anew(self) -> str:
+        """What is drawn anew each epoch: "problems", "symmetries", or "" if nothing is."""
+        if isinstance(self.serving.problems, Random):
+            return "problems"
+        return "symmetries" if self.serving.augment else ""
+
+    def _epoch_note(self) -> str:
+        """Return what `repr` says of epochs; nothing if all epochs serve the same samples."""
+        if not self._drawn_anew:
+            return ""
+        return f", {self._drawn_anew} of epoch 0 unless a sampler gives the epoch"
+
+    def expect_epochs(self) -> None:
+        """Never warn of repeated draws: a sampler gives the epochs."""
+        self._watch = None
 
     def _check_fields_on_terrain(self) -> None:
         """Refuse fields that do not exist on terrain.
@@ -204,11 +223,14 @@ class ProblemDataset(Dataset[Sample], ABC):
         """Return a copy that shares the open shards."""
         copied = type(self).__new__(type(self))
         vars(copied).update(vars(self))
+        copied._watch = RepeatWatch() if self._drawn_anew else None
         return copied
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the attributes that are pickled: all but those that `_open` sets."""
-        return {name: v for name, v in vars(self).items() if name not in self._opened}
+        state = {name: v for name, v in vars(self).items() if name not in self._opened}
+        # A process that gets the dataset pickled, such as a loader worker, reads a part of a pass.
+        return {**state, "_watch": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over the pickled attributes, and open the dataset again."""
@@ -220,9 +242,9 @@ class ProblemDataset(Dataset[Sample], ABC):
         if isinstance(index, slice):
             index = np.arange(*index.indices(len(self)))
         if np.ndim(index):
-            samples = self.__getitems__(index)
+            samples = self._serve(index)
             return samples.batch if isinstance(samples, Rows) else default_collate(samples)
-        sample: Sample = self.__getitems__([self._checked_index(index)])[0]
+        sample: Sample = self._serve([self._checked_index(index)])[0]
         return sample
 
     def __getitems__(self, indices: Sequence[int] | Ints | Tensor) -> Any:
@@ -234,6 +256,20 @@ class ProblemDataset(Dataset[Sample], ABC):
         Args:
             indices: ``index + epoch * len(dataset)`` each; a negative index counts from the end.
         """
+        return self._serve(indices, self._watch)
+
+    def _serve(
+        self, indices: Sequence[int] | Ints | Tensor, watch: RepeatWatch | None = None
+    ) -> Any:
+        """Return a list of samples as `__getitems__`, which only a loader calls, and which watches.
+
+        Without a transform the list is a whole batch, `Rows`, which torch's collate function takes
+        as it is.
+
+        Args:
+            indices: ``index + epoch * len(dataset)`` each; a negative index counts from the end.
+            watch: what finds out whether passes repeat each other, or None.
+        """
         numbers = np.asarray(indices)
         length = len(self)
         if numbers.size and numbers.dtype.kind not in "iu":
@@ -244,6 +280,12 @@ class ProblemDataset(Dataset[Sample], ABC):
         numbers[numbers < 0] += length
         epochs, problems = np.divmod(numbers, length)
         last_epoch = epochs.max(initial=0)
+        if watch is not None and len(numbers):
+            if last_epoch > 0:
+                self.expect_epochs()
+            elif watch.sees_repeats(problems, length):
+                warn_of_repeats(self._drawn_anew)
+                self.expect_epochs()
         if (epochs == last_epoch).all():
             batch = self._load(problems, last_epoch)
         else:  # `_load` takes one epoch only
@@ -677,6 +719,7 @@ class MapDataset(SampledProblemDataset):
         if not all(manifest.complete for manifest in self.reader.manifests):
             properties += ", of a dataset that is not finished"
         filters = self._filters_text()
+        properties += self._epoch_note()
         return f"MapDataset({arguments}){filters}: {len(self)} problems, {properties}"
 
     def _filters_text(self) -> str:

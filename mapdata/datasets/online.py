@@ -88,10 +88,10 @@ class OnlineMapDataset(SampledProblemDataset):
             transform=transform,
             radius=radius,
         )
-        super().__init__(split, serving)
         recipe = as_recipe(recipe, seed=seed)
         check_reproducible(recipe)
         self.generator = recipe.generator
+        super().__init__(split, serving)
         self.seed = recipe.seed
         self.length = recipe.maps if length is None else check_count("length", length)
         self.movement = movement or self.generator.movement
@@ -116,8 +116,14 @@ class OnlineMapDataset(SampledProblemDataset):
     def __repr__(self) -> str:
         return (
             f"OnlineMapDataset({self.generator}, seed={self.seed}, split={self.split!r}, "
-            f"problems={self.serving.problems}): {self.length} problems"
+            f"problems={self.serving.problems}): {self.length} problems{self._epoch_note()}"
         )
+
+    @property
+    def _drawn_anew(self) -> str:
+        """What is drawn anew each epoch: "problems", "symmetries", or "" if nothing is."""
+        # A map of two rooms has one segment and one pair, which each epoch serves.
+        return "problems" if self.generator.max_seed_points > 2 else super()._drawn_anew
 
     @property
     def info(self) -> DatasetInfo:

@@ -99,7 +99,7 @@ class ProblemSetDataset(ProblemDataset):
     def __repr__(self) -> str:
         return (
             f"ProblemSetDataset({self.problem_set.description!r}): {len(self)} problems, "
-            f"map_size={self.map_size}, movement={self.movement}"
+            f"map_size={self.map_size}, movement={self.movement}{self._epoch_note()}"
         )
 
     @property

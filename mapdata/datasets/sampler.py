@@ -13,6 +13,7 @@ from torch.utils.data.distributed import DistributedSampler
 
 from mapdata.arrays import Ints, UInt32s
 from mapdata.checks import check_count
+from mapdata.datasets.dataset import ProblemDataset
 from mapdata.datasets.sample import Sample
 from mapdata.jit import Int, kernel
 from mapdata.rng import ORDER, block
@@ -100,6 +101,8 @@ class EpochSampler(DistributedSampler[Any]):
             shuffle=sampling_seed is not None,
             drop_last=drop_last,
         )
+        if isinstance(dataset, ProblemDataset):
+            dataset.expect_epochs()
         self.batch_size = batch_size
         self.sampling_seed = sampling_seed
         self.module = module
