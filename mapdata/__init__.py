@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from mapdata.search import lines_are_free as lines_are_free
     from mapdata.search import pull_taut as pull_taut
     from mapdata.search import search_batch as search_batch
+    from mapdata.search import terrain_from_costs as terrain_from_costs
     from mapdata.search import to_metres as to_metres
     from mapdata.shards import DatasetNotFoundError as DatasetNotFoundError
     from mapdata.shards import ShardError as ShardError
@@ -99,6 +100,7 @@ _FACES = {
         "lines_are_free",
         "pull_taut",
         "search_batch",
+        "terrain_from_costs",
         "to_metres",
     ),
     "shards": ("DatasetNotFoundError", "ShardError", "build", "read_shard", "repair", "verify"),
@@ -114,10 +116,33 @@ __all__ = [*_HOME, "__version__"]  # noqa: PLE0604  (a list of names)
 def __getattr__(name: str) -> object:
     """Import a public name on first use."""
     if name not in _HOME:
-        raise AttributeError(f"module 'mapdata' has no attribute {name!r}")
+        raise AttributeError(f"module 'mapdata' has no attribute {name!r}{_where_it_is(name)}")
     value = getattr(import_module(f"mapdata.{_HOME[name]}"), name)
     globals()[name] = value
     return value
+
+
+_FUNCTIONS_THAT_LOAD = (
+    "; mapdata.models.load_model and Model.load load weights, in mapdata.models, and "
+    "mapdata.ProblemSet.load loads problems"
+)
+
+
+def _where_it_is(name: str) -> str:
+    """Return the end of an error message: the folder of mapdata that has a name, if any has it.
+
+    The folders are searched as text, since importing them would take seconds.
+    """
+    from pathlib import Path
+
+    if name == "load":
+        return _FUNCTIONS_THAT_LOAD
+    folders = [
+        path.parent.name
+        for path in sorted(Path(__file__).parent.glob("*/__init__.py"))
+        if not name.startswith("_") and f'    "{name}"' in path.read_text(encoding="utf-8")
+    ]
+    return f"; it is in mapdata.{folders[0]}" if folders else ""
 
 
 def __dir__() -> list[str]:

@@ -51,10 +51,9 @@ import torch.nn.functional as F  # noqa: N812  (its usual name)
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
-from mapdata import Movement, Sample, search_batch
+from mapdata import Movement, Sample, search_batch, terrain_from_costs
 from mapdata.arrays import Bytes, Float32s, Ints, offsets_of
-from mapdata.checks import check_choice
-from mapdata.limits import MAX_CELL_COST
+from mapdata.checks import check_choice, check_count
 
 from .model import Model, Tensors
 from .neural_astar import search as neural_search
@@ -72,6 +71,9 @@ MAX_LOG_COST = 10.0
 than terrain can hold, and far from numbers that overflow.
 """
 
+MIN_PIXELS = 7
+"""Smallest number of pixels of a cell: the first layer makes 3 x 3 places of them, the second 1."""
+
 LOSSES = ("paths", "terrain", "expansions")
 """What a `CostPredictor` can be taught by."""
 
@@ -85,9 +87,10 @@ class CostPredictor(Model):
         connectivity: number of moves, 4 or 8.
         corner_cutting: whether diagonal moves may pass beside occupied cells.
         diagonal_cost: cost of a diagonal move, sqrt(2) or 1; the defaults are those of ``tiles``.
-        pixels: pixels of a cell in each direction, at least 6.
+        pixels: pixels of a cell in each direction, at least `MIN_PIXELS`.
         width: channels of the first layer.
-        parts: number of random parts of each path that a training step asks for beside the whole.
+        parts: number of random parts of each path that a training step asks for beside the whole,
+            at least 0.
         loss: "paths" as above; "terrain" for the squared error of the logarithm of the true costs;
             "expansions" for the loss of Neural A*.
         learning_rate: the highest of the schedule.
@@ -111,7 +114,12 @@ class CostPredictor(Model):
         """Make the network."""
         super().__init__()
         check_choice("loss", loss, LOSSES)
+        # Of fewer pixels the convolutions would leave no place.
+        check_count("pixels", pixels, minimum=MIN_PIXELS)
+        check_count("width", width)
+        check_count("parts", parts, minimum=0)
         self.save_hyperparameters()
+        self._check_learning_rate()
         self.movement = Movement(connectivity, corner_cutting, diagonal_cost)
         self.pixels = pixels
         # The network sees the pixels of one cell, and not those of its neighbours. What a cell
@@ -169,12 +177,14 @@ class CostPredictor(Model):
         """Return how much more the paths of the batch cost than the shortest ones, in the mean.
 
         Both are taken under the predicted costs. Whole paths and `random_parts` of them count
-        equally.
+        equally. The loss of a batch without any path is 0.
         """
-        costs = self(batch.image, batch.map)  # (B, H, W)
+        costs: Tensor = self(batch.image, batch.map)  # (B, H, W)
         grids = batch.map[:, 0].byte().cpu().numpy()
         terrain = terrain_from_costs(costs.detach().cpu().numpy(), grids)
         maps, paths = random_parts(batch.path.cpu().numpy(), int(self.hparams["parts"]))
+        if not paths:
+            return costs.sum() * 0
         lengths = [len(path) for path in paths]
         teacher_weights = path_weights(
             np.concatenate(paths), offsets_of(lengths), grids, self.movement, maps
@@ -197,21 +207,32 @@ class CostPredictor(Model):
         return loss
 
     def terrain_loss(self, batch: Sample) -> Tensor:
-        """Return the mean squared error of the logarithm of the costs, up to a constant a map."""
+        """Return the mean squared error of the logarithm of the costs, up to a constant a map.
+
+        It is 0 without any free cell.
+        """
         is_free = batch.map == 0  # (B, 1, H, W)
         truth = batch.terrain.float().clamp(min=1).log()[:, 0]  # (B, H, W)
         error = centred(self.log_costs(batch.image), batch.map) - centred(truth, batch.map)
-        return (error**2)[is_free[:, 0]].mean()
+        return (error**2)[is_free[:, 0]].sum() / is_free.sum().clamp(min=1)
 
     def expansions_loss(self, batch: Sample) -> Tensor:
-        """Return the loss of Neural A*: cells that differ between the expanded ones and a path."""
-        guidance = torch.sigmoid(self.log_costs(batch.image))  # (B, H, W)
-        problems = (batch.map, batch.start, batch.goal)
+        """Return the loss of Neural A*: cells that differ between the expanded ones and a path.
+
+        Problems without a path do not count. The loss of a batch without any path is 0.
+        """
+        guidance: Tensor = torch.sigmoid(self.log_costs(batch.image))  # (B, H, W)
+        has_path: Tensor = batch.path[:, 0, 0] >= 0  # (B,)
+        if not has_path.any():
+            return guidance.sum() * 0
+        guidance = guidance[has_path]
+        problems = (batch.map[has_path], batch.start[has_path], batch.goal[has_path])
         max_expansions = guidance[0].numel()
         expanded, _ = neural_search(guidance, *problems, self.movement, max_expansions)
         path_mask = torch.zeros_like(guidance)  # (B, H, W)
-        problem, step = (batch.path[:, :, 0] >= 0).nonzero(as_tuple=True)
-        path_mask[(problem, *batch.path[problem, step].unbind(1))] = 1
+        paths = batch.path[has_path]
+        problem, step = (paths[:, :, 0] >= 0).nonzero(as_tuple=True)
+        path_mask[(problem, *paths[problem, step].unbind(1))] = 1
         return F.l1_loss(expanded, path_mask)
 
     def validation_step(self, batch: Sample, batch_idx: int, dataloader_idx: int = 0) -> None:
@@ -225,6 +246,8 @@ class CostPredictor(Model):
         planned = search_batch("astar", *problems, terrain=terrain)
         optimal = search_batch("astar", *problems, terrain=truth)
         is_solved = optimal.cost > 0
+        if not is_solved.any():
+            return  # a mean over nothing would make the logged mean of all batches NaN
         maps = np.arange(len(grids))
         weights = path_weights(planned.cells, planned.offsets, grids, self.movement, maps)
         costs = (weights.astype(np.float64) * truth).sum(axis=(1, 2))
@@ -240,11 +263,12 @@ class CostPredictor(Model):
         `mapdata.search_batch` and `mapdata.astar` search on it with ``terrain=``.
 
         Args:
-            images: (B, 3, pixels * H, pixels * W) uint8.
+            images: (B, 3, pixels * H, pixels * W) numbers from 0 to 255, usually uint8.
             grids: (B, H, W), 0 free and 1 occupied.
 
         Raises:
-            ValueError: an image that is not of its grid's size.
+            ValueError: an image that is not of its grid's size, or has other numbers, such as NaN;
+                weights that predict costs that are not finite.
         """
         # numpy would warn of a tensor that it is asked to copy.
         pixels = images.cpu().numpy() if isinstance(images, Tensor) else images
@@ -253,6 +277,12 @@ class CostPredictor(Model):
         expected = (len(occupied), 3, self.pixels * rows, self.pixels * columns)
         if image.shape != expected:
             raise ValueError(f"images: got shape {tuple(image.shape)}, expected {expected}")
+        if image.is_complex():
+            raise ValueError(f"images: got {image.dtype}, expected numbers from 0 to 255")
+        is_colour = (image >= 0) & (image <= 255)  # false for NaN
+        if not is_colour.all():
+            number = image[~is_colour][0].item()
+            raise ValueError(f"images: got the value {number}, expected numbers from 0 to 255")
         # In 32 bits: costs of bfloat16, which has 8 bits, would be too coarse.
         with torch.inference_mode():
             costs = self(image, occupied)
@@ -265,15 +295,6 @@ def centred(log_costs: Tensor, occupied: Tensor) -> Tensor:
     cell_counts = free.sum(dim=(1, 2), keepdim=True).clamp(min=1)  # (B, 1, 1)
     mean = (log_costs * free).sum(dim=(1, 2), keepdim=True) / cell_counts
     return log_costs - mean
-
-
-def terrain_from_costs(costs: Float32s, grids: Bytes) -> Bytes:
-    """Return costs (B, H, W) as terrain, (B, H, W) uint8, whose largest cost on a map is 255."""
-    free_costs = np.where(grids == 0, costs, 0)
-    scale = MAX_CELL_COST / free_costs.max(axis=(1, 2), keepdims=True, initial=MIN_COST)
-    terrain: Bytes = np.clip(np.rint(costs * scale), 1, MAX_CELL_COST).astype(np.uint8)
-    terrain[grids != 0] = 0
-    return terrain
 
 
 def random_parts(paths: Ints, count: int) -> tuple[Ints, list[Ints]]:

@@ -12,6 +12,8 @@ import torch
 import torch.nn.functional as F  # noqa: N812  (its usual name)
 from torch import Tensor, nn
 
+from mapdata.checks import check_count, items_of
+
 STRIDE = 16
 """The coarsest stride; `Trunk` takes maps whose sides are multiples of it."""
 
@@ -94,8 +96,17 @@ class Trunk(nn.Module):
             widths: channels at strides 2, 4, 8 and 16; the last two may be left out.
             passes: number of `Pass` modules.
             refinements: number of `Residual` blocks at stride 2 after them.
+
+        Raises:
+            ValueError: numbers that do not fit, by the names above.
         """
         super().__init__()
+        if not 2 <= len(items_of(widths)) <= 4:
+            raise ValueError(f"widths: got {widths!r}, expected 2 to 4 numbers of channels")
+        for channels in widths:
+            check_count("widths", channels)
+        check_count("passes", passes, minimum=0)
+        check_count("refinements", refinements, minimum=0)
         shallow, width = widths[:2]
         self.coarser = len(widths) - 2
         # The first and the last convolution work on blocks of 2 x 2 cells, which halves the time.

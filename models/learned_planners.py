@@ -12,6 +12,7 @@ import pandas as pd
 
 from mapdata import Movement, ProblemSet, Sample, evaluate
 from mapdata.arrays import Bytes, Flags, Float32s, Int8s, Ints
+from mapdata.checks import check_number
 from mapdata.evaluation import Batched, BatchPlanner, Plan, Planner
 from mapdata.jit import Int, kernel
 from mapdata.search import STEPS, as_terrain, search_batch
@@ -147,6 +148,11 @@ class GuidedSearch(Batched):
     name: str
     model: Predictor
     trust: float = 0.15
+
+    def __post_init__(self) -> None:
+        """Check the trust, which may be infinite."""
+        if not check_number("trust", self.trust) >= 0:  # this form also refuses NaN
+            raise ValueError(f"trust: got {self.trust}, expected a number of at least 0")
 
     def plan_batch(
         self, grids: Bytes, starts: Ints, goals: Ints, terrain: Bytes | None = None

@@ -20,7 +20,7 @@ from lightning_fabric.utilities.exceptions import MisconfigurationException
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
-from mapdata.checks import check_choice
+from mapdata.checks import check_choice, check_finite
 from mapdata.shards import write_output
 
 from .optimizer import Muon, one_cycle
@@ -33,6 +33,9 @@ WEIGHTS = Path(__file__).parent / "weights"
 
 MAX_ARGUMENT = 1024
 """Largest number among the arguments of a saved model, such as the width or number of layers."""
+
+_NUMBER_WORDS = {"4": "four", "8": "eight"}
+"""How names of weights call a number of moves."""
 
 M = TypeVar("M", bound=nn.Module)
 P = TypeVar("P", bound="Model")
@@ -65,6 +68,10 @@ class Model(pl.LightningModule, ABC):
 
     PRETRAINED: ClassVar[Mapping[str, str]] = {}
     """The pretrained weights: their files in `WEIGHTS`, by name; the first is the default."""
+
+    def _check_learning_rate(self) -> None:
+        """Refuse a learning rate that is not a number above 0."""
+        check_finite("learning_rate", self.hparams["learning_rate"], positive=True)
 
     @abstractmethod
     def losses(self, batch: Any) -> Tensors:
@@ -151,6 +158,8 @@ class Model(pl.LightningModule, ABC):
         A file of that name is replaced as a whole, or stays as it is where writing fails.
 
         Raises:
+            ValueError: weights that are not finite as float16, for instance after a training that
+                diverged.
             OSError: the disk is full or may not be written to.
         """
         arguments = {}
@@ -163,6 +172,7 @@ class Model(pl.LightningModule, ABC):
             name: weight.to("cpu", torch.float16).contiguous()
             for name, weight in self.state_dict().items()
         }
+        _check_weights(weights)
         checkpoint = {"class": type(self).__name__, "arguments": arguments, "weights": weights}
         buffer = io.BytesIO()
         torch.save(checkpoint, buffer)
@@ -182,6 +192,13 @@ class Model(pl.LightningModule, ABC):
             raise ValueError(f"{cls.__name__}: no weights of it ship: train it, and use load")
         if name is None:
             name = next(iter(cls.PRETRAINED))
+        if name not in cls.PRETRAINED and str(name) in _NUMBER_WORDS:
+            hint = _NUMBER_WORDS[str(name)]
+            raise ValueError(
+                f"{cls.__name__}.pretrained: got {name!r}, expected one of "
+                f"{', '.join(cls.PRETRAINED)}"
+                f"{f'; did you mean {hint}?' if hint in cls.PRETRAINED else ''}"
+            )
         check_choice(f"{cls.__name__}.pretrained", name, cls.PRETRAINED)
         return load_model(WEIGHTS / cls.PRETRAINED[name], cls)
 
@@ -198,8 +215,9 @@ def load_model(file: str | PathLike[str], *classes: type[M]) -> M:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file holds no such model, is damaged, holds code, or says that it unpacks to
-            more than its size; the message is one line and names the file.
+        ValueError: the file holds no such model, is damaged, holds code, holds weights that are
+            not finite real numbers, or says that it unpacks to more than its size; the message is
+            one line and names the file.
     """
     path = Path(file)
     if not path.exists():
@@ -215,6 +233,7 @@ def load_model(file: str | PathLike[str], *classes: type[M]) -> M:
             expected = model_class(**arguments).state_dict()
         if _shapes(weights) != _shapes(expected):
             raise ValueError("its weights have other names or shapes than its arguments say")
+        _check_weights(weights)
         model = model_class(**arguments)
         model.load_state_dict(weights)
     except Exception as error:
@@ -262,6 +281,16 @@ def _check_arguments(arguments: dict[str, Any]) -> None:
             # "not <=" also refuses NaN, which is neither larger nor smaller than any number.
             if not abs(number) <= MAX_ARGUMENT:
                 raise ValueError(f"{name}: got {number}, expected at most {MAX_ARGUMENT}")
+
+
+def _check_weights(weights: Mapping[str, Tensor]) -> None:
+    """Refuse weights that are not finite real numbers: torch would drop imaginary parts."""
+    for name, weight in weights.items():
+        if not weight.is_floating_point():
+            raise ValueError(f"{name}: got weights of {weight.dtype}, expected real numbers")
+        if not weight.isfinite().all():
+            number = weight[~weight.isfinite()][0].item()
+            raise ValueError(f"{name}: got the weight {number}, expected finite numbers")
 
 
 def _shapes(weights: dict[str, Tensor]) -> dict[str, torch.Size]:

@@ -199,6 +199,7 @@ class NeuralAstar(LearnedPlanner):
         """Make the network: the authors' encoder of depth 4."""
         super().__init__()
         self.save_hyperparameters()
+        self._check_learning_rate()
         self.movement = Movement(connectivity, corner_cutting, diagonal_cost)
         layers = []
         for inputs, outputs in pairwise((2, 32, 64, 128, 256, 1)):

@@ -61,6 +61,7 @@ from torch import Tensor, nn
 
 from mapdata import Movement, Sample
 from mapdata.arrays import Bytes, Float32s, Ints
+from mapdata.checks import check_finite, check_flag
 from mapdata.search import STEPS
 
 from .geometry import heuristic, legal_moves, min_and_mean_costs, offsets
@@ -242,6 +243,10 @@ class PathPredictor(LearnedPlanner):
         """Make the network."""
         super().__init__()
         self.save_hyperparameters()
+        self._check_learning_rate()
+        check_finite("ratio_weight", ratio_weight)
+        check_finite("detour_weight", detour_weight)
+        check_flag("terrain", terrain)
         self.movement = Movement(connectivity, corner_cutting, diagonal_cost)
         self.takes_terrain = terrain
         plane_count = 10 if terrain else 8

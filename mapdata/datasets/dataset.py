@@ -579,7 +579,7 @@ class SampledProblemDataset(ProblemDataset):
             symmetries=np.zeros(len(indices), np.int64),
             requested_fields=self._field_names,
             max_length=self.serving.max_length,
-            radius=self._radius_in_cells(),
+            radius_cells=self._radius_in_cells(),
             has_terrain=self.has_terrain,
         )
 

@@ -121,7 +121,7 @@ class Batch:
         requested_fields: names of the fields that will be computed from this batch.
         max_length: fixed number of rows of ``path``; None for a multiple of 16.
         compute_paths: returns the paths of "bfs" or "astar", or None if they must be searched.
-        radius: of the robot, in cells.
+        radius_cells: radius of the robot, in cells.
         has_terrain: whether the stored maps have terrain.
     """
 
@@ -138,7 +138,7 @@ class Batch:
     requested_fields: tuple[str, ...]
     max_length: int | None = None
     compute_paths: Callable[[str], Paths | None] = _no_known_paths
-    radius: float = 0.0
+    radius_cells: float = 0.0
     has_terrain: bool = False
 
     __repr__ = summary
@@ -194,7 +194,7 @@ class Batch:
     @cached_property
     def obstacles(self) -> Bytes:
         """(B, H, W) uint8, the maps before they were inflated by the radius of the robot."""
-        return self._after_symmetries(self.stored_grids) if self.radius else self.grids
+        return self._after_symmetries(self.stored_grids) if self.radius_cells else self.grids
 
     @cached_property
     def terrain(self) -> Bytes | None:
@@ -205,7 +205,7 @@ class Batch:
         if self.stored_terrain is None:
             return None
         terrain = self._after_symmetries(self.stored_terrain)
-        return without_occupied(terrain, self.grids) if self.radius else terrain
+        return without_occupied(terrain, self.grids) if self.radius_cells else terrain
 
     @cached_property
     def min_cell_costs(self) -> Ints | None:
@@ -488,15 +488,15 @@ class Waypoints:
         if not self.fill and is_refused.any():
             refused = int(np.argmax(is_refused))
             problem = f"waypoints: problem {batch.problems[refused]}"
-            if bends[refused] == NOT_FREE and batch.radius == 0:
+            if bends[refused] == NOT_FREE and batch.radius_cells == 0:
                 raise ValueError(
                     f"{problem} has a stored path through occupied cells, expected an undamaged "
                     "dataset: 'mapdata verify' checks it"
                 )
             if bends[refused] == NOT_FREE:
                 raise ValueError(
-                    f"{problem} has no free line for a radius of {batch.radius:g} cells, expected "
-                    "a movement that cuts no corners, or Waypoints(fill=True)"
+                    f"{problem} has no free line for a radius of {batch.radius_cells:g} cells, "
+                    "expected a movement that cuts no corners, or Waypoints(fill=True)"
                 )
             raise ValueError(
                 f"{problem} has a line of {bends[refused]} bends, expected at most "
@@ -524,7 +524,7 @@ def divided_lines(batch: Batch, count: int) -> tuple[Float32s, Ints]:
         raise ValueError(NO_TAUT_LINES)
     points = np.empty((len(batch.grids), count, 2), np.float32)
     cells, offsets, _ = batch.paths
-    robot = robot_of(batch.radius)
+    robot = robot_of(batch.radius_cells)
     cuts_corners = batch.movement.corner_cutting
     bends = write_waypoints(batch.obstacles, cells, offsets, robot, cuts_corners, points)
     return points, bends

@@ -214,8 +214,7 @@ def score_paths(
     expansions = np.full(len(problems), np.nan)
     if isinstance(paths, BatchResult):
         expansions = paths.iterations.astype(np.float64)
-        ends = zip(paths.offsets[:-1], paths.offsets[1:], strict=True)
-        paths = [paths.cells[first:end] for first, end in ends]
+        paths = paths.paths()
     if len(paths) != len(problems):
         raise ValueError(f"paths: got {len(paths)}, expected one for each of {len(problems)}")
     costs = np.array([_cost(path, problems, k) for k, path in enumerate(paths)])

@@ -300,6 +300,5 @@ def _with_prepared(plans: list[Plan], prepared: Ints) -> list[Plan]:
 def _plans(paths: BatchResult) -> list[Plan]:
     """Return the paths of a batch of searches, each as a plan."""
     return [
-        Plan(paths.cells[paths.offsets[k] : paths.offsets[k + 1]], expansions)
-        for k, expansions in enumerate(paths.iterations.tolist())
+        Plan(paths.path(k), expansions) for k, expansions in enumerate(paths.iterations.tolist())
     ]

@@ -43,7 +43,7 @@ import yaml
 from numpy.typing import ArrayLike
 from PIL import Image
 
-from mapdata.arrays import Array, Bytes, Flags, Int8s, Ints
+from mapdata.arrays import Array, Bytes, Flags, Floats, Int8s, Ints
 from mapdata.checks import check_choice, check_resolution
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
@@ -108,32 +108,35 @@ class RosMap:
     origin: tuple[float, float, float]
     mode: str = "trinary"
 
-    def to_metres(self, row: float, column: float) -> tuple[float, float]:
-        """Return (x, y), in metres, of the middle of one cell (row, col).
+    def to_metres(
+        self, *, points: ArrayLike | None = None, cells: ArrayLike | None = None
+    ) -> Floats:
+        """Return points or the middles of cells, (row, col), as (x, y) in metres.
 
-        `mapdata.to_metres` takes points instead of cells, whose middle is (row + 0.5, col + 0.5),
-        and many at once.
+        It is `mapdata.to_metres` with the rows, resolution and origin of this map.
+
+        Args:
+            points: (..., 2) in cells; the middle of cell (r, c) is (r + 0.5, c + 0.5).
+            cells: (..., 2) integers.
 
         Raises:
-            ValueError: row or column is an array, or the yaw is NaN.
+            ValueError: what `mapdata.to_metres` refuses, or a yaw of NaN.
         """
-        if np.ndim(row) or np.ndim(column):
-            raise ValueError(
-                f"row: got shape {np.shape(row)}, expected one cell; for many, "
-                "mapdata.to_metres(cells + 0.5, rows, resolution, origin)"
-            )
-        middle = (row + 0.5, column + 0.5)
-        origin = self._known_origin()
-        x, y = to_metres(middle, len(self.cells), self.resolution, origin).tolist()
-        return x, y
+        return to_metres(
+            points=points,
+            cells=cells,
+            rows=len(self.cells),
+            resolution=self.resolution,
+            origin=self._known_origin(),
+        )
 
-    def to_cells(self, points: ArrayLike) -> Ints:
+    def to_cells(self, metres: ArrayLike) -> Ints:
         """Return the cells (row, col) in which points lie: the inverse of `to_metres`.
 
         `to_metres` returns the middle of a cell; any other point of the cell gives the same cell.
 
         Args:
-            points: (..., 2), (x, y) in metres.
+            metres: (..., 2), points (x, y) in metres.
 
         Returns:
             (..., 2) int64.
@@ -141,9 +144,9 @@ class RosMap:
         Raises:
             ValueError: another shape, a point outside of the map, or a yaw of NaN.
         """
-        in_metres = np.asarray(points, np.float64)
+        in_metres = np.asarray(metres, np.float64)
         if in_metres.shape[-1:] != (2,):
-            raise ValueError(f"points: got shape {in_metres.shape}, expected (..., 2): x and y")
+            raise ValueError(f"metres: got shape {in_metres.shape}, expected (..., 2): x and y")
         x, y, yaw = self._known_origin()
         east = in_metres[..., 0] - x
         north = in_metres[..., 1] - y
@@ -158,7 +161,7 @@ class RosMap:
         if not is_inside.all():
             first_outside = in_metres[~is_inside].reshape(-1, 2)[0].tolist()
             raise ValueError(
-                f"points: {first_outside} lies outside of the map of {rows} x {columns} cells, "
+                f"metres: {first_outside} lies outside of the map of {rows} x {columns} cells, "
                 f"whose lower left corner is {[x, y]}; expected metres in the frame of the map"
             )
         return np.asarray(from_corner, np.int64)

@@ -10,6 +10,7 @@ from mapdata.search.api import (
     check_path,
     distance_field,
     search_batch,
+    terrain_from_costs,
 )
 from mapdata.search.footprint import clearance, inflate, inflate_terrain
 from mapdata.search.labels import Labels, RouteLabels, label
@@ -35,5 +36,6 @@ __all__ = [
     "lines_are_free",
     "pull_taut",
     "search_batch",
+    "terrain_from_costs",
     "to_metres",
 ]

@@ -165,6 +165,46 @@ class BatchResult(NamedTuple):
     def __repr__(self) -> str:
         return summary(self)
 
+    def path(self, k: int) -> Ints:
+        """Return path k, (n, 2) cells from start to goal; (0, 2) without a path.
+
+        Raises:
+            IndexError: there is no problem k.
+        """
+        count = len(self.cost)
+        if not -count <= k < count:
+            raise IndexError(f"path {k} is out of range for {count} problems")
+        k %= count
+        return self.cells[self.offsets[k] : self.offsets[k + 1]]
+
+    def paths(self) -> list[Ints]:
+        """Return the B paths, each as `path` does."""
+        return [self.path(k) for k in range(len(self.cost))]
+
+    def masks(self, shape: tuple[int, ...]) -> Bytes:
+        """Return the cells of the paths as masks, (B, H, W) uint8: 1 on the cells of path k.
+
+        Args:
+            shape: (H, W) of the maps; of (B, H, W), such as ``grids.shape``, the last two count.
+
+        Raises:
+            ValueError: a cell lies outside a map of this shape.
+
+        >>> search_batch("bfs", [[0, 1], [0, 0]], [(0, 0)], [(1, 1)]).masks((2, 2))
+        array([[[1, 0],
+                [1, 1]]], dtype=uint8)
+        """
+        rows, columns = shape[-2:]
+        if len(self.cells) and (self.cells >= (rows, columns)).any():
+            raise ValueError(
+                f"shape: got {rows} x {columns} cells, but a path has the cell "
+                f"{tuple(self.cells[(self.cells >= (rows, columns)).any(axis=1)][0].tolist())}"
+            )
+        masks = np.zeros((len(self.cost), rows, columns), np.uint8)
+        owners = np.repeat(np.arange(len(self.cost)), np.diff(self.offsets))
+        masks[owners, self.cells[:, 0], self.cells[:, 1]] = 1
+        return masks
+
 
 def search_batch(
     search: str,
@@ -183,7 +223,8 @@ def search_batch(
         starts: (B, 2) cells.
         goals: (B, 2) cells.
         movement: which moves are legal.
-        terrain: costs of the cells, of the shape of ``grids``.
+        terrain: costs of the cells, of the shape of ``grids``; `terrain_from_costs` makes it of
+            floats.
 
     Raises:
         ValueError: a problem that `bfs` refuses, with the number of the first such problem; arrays
@@ -620,11 +661,17 @@ def as_terrain(terrain: ArrayLike, grid: Bytes) -> Bytes:
         )
     if array.dtype != _UINT8:
         if array.dtype.kind not in "iu":
-            raise ValueError(f"terrain: got dtype {array.dtype}, expected integers from 0 to 255")
+            raise ValueError(
+                f"terrain: got dtype {array.dtype}, expected integers from 0 to 255: "
+                "mapdata.terrain_from_costs(costs, grids) makes them of other costs"
+            )
         is_outside = (array < 0) | (array > MAX_CELL_COST)
         if is_outside.any():
             number = array[is_outside][0]
-            raise ValueError(f"terrain: got the value {number}, expected integers from 0 to 255")
+            raise ValueError(
+                f"terrain: got the value {number}, expected integers from 0 to 255: "
+                "mapdata.terrain_from_costs(costs, grids) makes them of other costs"
+            )
         array = array.astype(np.uint8)
     disagreements = (array == 0) != grid
     if disagreements.any():
@@ -637,6 +684,57 @@ def as_terrain(terrain: ArrayLike, grid: Bytes) -> Bytes:
             "occupied cells and 1 to 255 on free ones"
         )
     return array if array.flags.carray else np.array(array, order="C")
+
+
+def terrain_from_costs(costs: ArrayLike, grids: ArrayLike) -> Bytes:
+    """Return costs of any scale as terrain, which `astar` and `search_batch` take exactly.
+
+    The costs of each map are divided by its largest one and multiplied by 255, then rounded to
+    integers of at least 1. So the resolution of a map is 1/255 of its largest cost: a cost changes
+    by at most half of that, except for costs below 1/510 of the largest one, which become 1. Paths
+    do not depend on the scale. A cost on the terrain, times the largest cost of a free cell and
+    over 255, is in the unit of ``costs``, up to this rounding.
+
+    Args:
+        costs: (H, W) or (B, H, W) numbers of at least 0, such as the predictions of a model. What
+            occupied cells have does not count, not even NaN.
+        grids: 0 free and 1 occupied, of the shape of ``costs``.
+
+    Returns:
+        uint8 of the same shape, 1 to 255 on free cells and 0 on occupied ones.
+
+    Raises:
+        ValueError: another shape or dtype; a free cell whose cost is negative, NaN or infinite.
+
+    >>> terrain_from_costs([[0.2, 0.8, np.inf]], [[0, 0, 1]])
+    array([[ 64, 255,   0]], dtype=uint8)
+    """
+    cell_costs = np.asarray(costs)
+    rank = 3 if cell_costs.ndim == 3 else 2
+    grid_stack = as_grid(grids, rank)
+    if grid_stack.max(initial=0) > 1:
+        raise ValueError(values_complaint(grid_stack))
+    if cell_costs.shape != grid_stack.shape:
+        raise ValueError(
+            f"costs: got shape {cell_costs.shape}, expected {grid_stack.shape}, that of the grids"
+        )
+    if cell_costs.dtype.kind not in "iuf":
+        raise ValueError(f"costs: got dtype {cell_costs.dtype}, expected numbers")
+    is_free = grid_stack == 0
+    is_refused = is_free & ~((cell_costs >= 0) & np.isfinite(cell_costs))
+    if is_refused.any():
+        cell = tuple(np.argwhere(is_refused)[0].tolist())
+        raise ValueError(
+            f"costs: got {cell_costs[cell]} at {cell}, expected a finite number of at least 0 on "
+            "each free cell"
+        )
+    # Half floats would overflow, and integers be cut.
+    free_costs = np.where(is_free, cell_costs, 0).astype(np.result_type(cell_costs, np.float32))
+    largest = free_costs.max(axis=(-2, -1), keepdims=True)
+    scale = MAX_CELL_COST / np.where(largest > 0, largest, 1)
+    terrain: Bytes = np.clip(np.rint(free_costs * scale), 1, MAX_CELL_COST).astype(np.uint8)
+    terrain[~is_free] = 0
+    return terrain
 
 
 def _as_bytes(array: Array) -> Bytes:

@@ -37,16 +37,16 @@ def clearance(grid: ArrayLike) -> Float32s:
     return distances
 
 
-def inflate(grid: ArrayLike, radius: float) -> Bytes:
+def inflate(grid: ArrayLike, radius_cells: float) -> Bytes:
     """Return the map on which the middle of a disc-shaped robot moves: its configuration space.
 
-    A cell is occupied if it is in ``grid``, or if its `clearance` is less than ``radius``. So the
-    robot may touch obstacles and the border, but not overlap them.
+    A cell is occupied if it is in ``grid``, or if its `clearance` is less than ``radius_cells``. So
+    the robot may touch obstacles and the border, but not overlap them.
 
     Args:
         grid: (H, W) of 0 free and 1 occupied, or bool.
-        radius: of the robot, in cells. Rounding errors of floats do not matter: 0.15 / 0.1, which
-            is less than 1.5, counts as 1.5.
+        radius_cells: radius of the robot, in cells: that in metres over the resolution. Rounding
+            errors of floats do not matter: 0.15 / 0.1, which is less than 1.5, counts as 1.5.
 
     Returns:
         (H, W) uint8, 0 free and 1 occupied.
@@ -63,11 +63,11 @@ def inflate(grid: ArrayLike, radius: float) -> Bytes:
            [1, 1, 1, 1]], dtype=uint8)
     """
     inflated = _binary_grid(grid).copy()
-    inflate_all(inflated[None], min_squared_clearance(radius))
+    inflate_all(inflated[None], min_squared_clearance(radius_cells, name="radius_cells"))
     return inflated
 
 
-def inflate_terrain(terrain: ArrayLike, radius: float) -> Bytes:
+def inflate_terrain(terrain: ArrayLike, radius_cells: float) -> Bytes:
     """Return the terrain on which the middle of a disc-shaped robot moves.
 
     Cells that `inflate` occupies become 0; the others keep their costs. A search takes the smallest
@@ -76,7 +76,7 @@ def inflate_terrain(terrain: ArrayLike, radius: float) -> Bytes:
     Args:
         terrain: (H, W) of integers, 0 on occupied cells and 1 to 255, the cost of a cell, on free
             ones.
-        radius: of the robot, in cells.
+        radius_cells: radius of the robot, in cells.
 
     Returns:
         (H, W) uint8.
@@ -90,7 +90,7 @@ def inflate_terrain(terrain: ArrayLike, radius: float) -> Bytes:
            [0, 1, 2, 0],
            [0, 0, 0, 0]], dtype=uint8)
     """
-    grid = inflate(np.asarray(terrain) == 0, radius)
+    grid = inflate(np.asarray(terrain) == 0, radius_cells)
     return as_terrain(np.where(grid, 0, terrain), grid)
 
 
@@ -111,7 +111,7 @@ def _binary_grid(grid: ArrayLike) -> Bytes:
     return cells
 
 
-def min_squared_clearance(radius: float, resolution: float = 1.0) -> int:
+def min_squared_clearance(radius: float, resolution: float = 1.0, name: str = "radius") -> int:
     """Return the clearance that a robot needs, squared, in squared half cells.
 
     Squared clearances are whole numbers of squared half cells. A radius may differ in the last bits
@@ -122,15 +122,16 @@ def min_squared_clearance(radius: float, resolution: float = 1.0) -> int:
     Args:
         radius: of the robot.
         resolution: size of a cell, in the same unit.
+        name: what errors call the radius.
 
     Raises:
         ValueError: a radius that is not from 0 to 1,000,000 cells.
     """
-    radius_in_cells = check_number("radius", radius) / resolution
+    radius_in_cells = check_number(name, radius) / resolution
     # Below this bound the square fits into an integer of 64 bits.
     if not 0 <= radius_in_cells < 1e6:
         raise ValueError(
-            f"radius: got {radius}, expected a number of at least 0, below 1,000,000 cells"
+            f"{name}: got {radius}, expected a number of at least 0, below 1,000,000 cells"
         )
     # The relative error of a float32 is up to 6e-8, and that of its square twice as much.
     tolerance = 3e-7

@@ -109,10 +109,11 @@ def robot_of(radius: float, resolution: float = 1.0) -> Robot:
     Raises:
         ValueError: a radius that is out of range.
     """
-    cells = check_number("radius", radius) / resolution
+    cells = check_number("radius_cells", radius) / resolution
     if not 0 <= cells < MAX_TAUT_SIDE:
         raise ValueError(
-            f"radius: got {radius}, expected a number of at least 0, below {MAX_TAUT_SIDE:,} cells"
+            f"radius_cells: got {radius}, expected a number of at least 0, below "
+            f"{MAX_TAUT_SIDE:,} cells"
         )
     squared = math.ceil((CELL * cells) ** 2 * (1 - 3e-7))
     exact_reach = _root_rounded_up(squared)
@@ -133,14 +134,14 @@ def _root_rounded_up(square: int) -> int:
     return root if root * root == square else root + 1
 
 
-def pull_taut(grid: ArrayLike, path: ArrayLike, radius: float = 0) -> Floats:
+def pull_taut(grid: ArrayLike, path: ArrayLike, radius_cells: float = 0) -> Floats:
     """Return the shortest line of a path's homotopy class: the path as a string, pulled taut.
 
     The line passes all obstacles on the sides on which the path passes them. It bends only at
     corners of obstacles, and it is proved free by exact tests. It may run along walls. It passes
     between two diagonally touching occupied cells only where the path does.
 
-    With a radius, the middle of a disc moves on the line, and stays at least ``radius`` away from
+    With a radius, the middle of a disc moves on the line, and stays at least that far away from
     every obstacle and from the border. Around a corner the line follows an octagon instead of an
     arc, which adds at most 5.5 % to the length of the arc. Where the octagon, unlike the disc, has
     no room, the line follows the cells of the path. In both cases it has no bend that the disc can
@@ -149,8 +150,8 @@ def pull_taut(grid: ArrayLike, path: ArrayLike, radius: float = 0) -> Floats:
     Args:
         grid: (H, W) of 0 free and 1 occupied, or bool; at most 65,536 rows and columns.
         path: (k, 2) cells (row, col) of an 8- or 4-connected path, k at least 1.
-        radius: of the robot, in cells. Above 0 the path must be one for `mapdata.inflate` of the
-            grid that cuts no corners.
+        radius_cells: radius of the robot, in cells. Above 0 the path must be one for
+            `mapdata.inflate` of the grid that cuts no corners.
 
     Returns:
         (n, 2) float64 points (row, col) in cells, multiples of 1/256: start, bends and goal. The
@@ -170,13 +171,15 @@ def pull_taut(grid: ArrayLike, path: ArrayLike, radius: float = 0) -> Floats:
     """
     cells = as_grid(grid, 2)
     _check_size(cells)
-    robot = robot_of(radius)
-    free_for_robot = inflate(cells, radius) if radius else cells
-    check_path(free_for_robot, path, Movement(8, corner_cutting=not radius))
+    robot = robot_of(radius_cells)
+    free_for_robot = inflate(cells, radius_cells) if radius_cells else cells
+    check_path(free_for_robot, path, Movement(8, corner_cutting=not radius_cells))
     own_path = np.array(np.asarray(path), np.int64)  # contiguous and writable, for the kernel
     line, is_free = _taut_line(cells, own_path, robot)
     if not is_free:
-        raise RuntimeError(f"no free line along the path for radius {radius}: please report this")
+        raise RuntimeError(
+            f"no free line along the path for a radius of {radius_cells} cells: please report this"
+        )
     return line / CELL
 
 
@@ -191,19 +194,19 @@ def _check_size(grid: Bytes) -> None:
 
 
 def lines_are_free(
-    grids: ArrayLike, lines: ArrayLike, radius: float = 0, *, corner_cutting: bool = False
+    grids: ArrayLike, lines: ArrayLike, radius_cells: float = 0, *, corner_cutting: bool = False
 ) -> Flags:
     """Return whether lines of points collide with no obstacle, for instance those of a model.
 
     A line is free as in `pull_taut`: no point of its segments is inside the union of the occupied
-    cells and the outside of the map, or nearer to it than ``radius``.
+    cells and the outside of the map, or nearer to it than ``radius_cells``.
 
     Args:
         grids: (B, H, W) of 0 free and 1 occupied, or bool; also (B, 1, H, W), as datasets serve the
             field ``map``.
         lines: (B, T, 2) points (row, col) in cells, T at least 1; they are rounded to 1/256. A line
             with a number that is not finite collides.
-        radius: of the robot, in cells.
+        radius_cells: radius of the robot, in cells.
         corner_cutting: whether a line may touch a point where two occupied cells meet diagonally.
 
     Returns:
@@ -232,23 +235,25 @@ def lines_are_free(
     # finite, such as those of a network that diverged, may stand outside, too.
     inside_or_near = np.clip(np.nan_to_num(points, nan=-1.0), -1, MAX_TAUT_SIDE + 1)
     rounded = np.rint(inside_or_near * CELL).astype(np.int64)
-    return _lines_are_free(cells, rounded, robot_of(radius).squared_radius, corner_cutting)
+    return _lines_are_free(cells, rounded, robot_of(radius_cells).squared_radius, corner_cutting)
 
 
 def to_metres(
-    points: ArrayLike,
+    *,
+    points: ArrayLike | None = None,
+    cells: ArrayLike | None = None,
     rows: int,
     resolution: float,
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Floats:
-    """Return points of a map, (row, col) in cells, as (x, y) in metres.
+    """Return points or the middles of cells of a map, (row, col), as (x, y) in metres.
 
-    Points are continuous: (0, 0) is the upper left corner of the map, not a cell. The method
-    `RosMap.to_metres` of `mapdata.formats.ros.read_map` takes a cell and returns its middle.
+    Both are counted in cells from the upper left corner of the map, but a point is continuous: the
+    middle of cell (r, c) is the point (r + 0.5, c + 0.5). So exactly one of both is given, by name.
 
     Args:
-        points: (..., 2), counted from the upper left corner of the map: the middle of cell (r, c)
-            is (r + 0.5, c + 0.5).
+        points: (..., 2), such as taut lines, waypoints and samples of roadmaps.
+        cells: (..., 2) integers, such as paths, starts and goals.
         rows: number of rows of the map.
         resolution: metres per cell.
         origin: (x, y, yaw) of the lower left corner of the map, in metres and radians, as in the
@@ -258,16 +263,32 @@ def to_metres(
         (..., 2) float64. For yaw 0, x grows with the column, and y from the last row to the first.
 
     Raises:
-        ValueError: another shape of ``points``, or an origin without yaw.
+        ValueError: points and cells, or neither; another shape of them; cells that are not
+            integers; an origin without yaw.
 
-    >>> to_metres([[2, 0], [0.5, 0.5]], rows=2, resolution=0.1)
+    >>> to_metres(points=[[2, 0], [0.5, 0.5]], rows=2, resolution=0.1)
     array([[0.  , 0.  ],
            [0.05, 0.15]])
+    >>> to_metres(cells=[0, 0], rows=2, resolution=0.1)
+    array([0.05, 0.15])
     """
-    from_corner = np.asarray(points, np.float64)
+    if (points is None) == (cells is None):
+        raise ValueError(
+            f"points and cells: got {'neither' if points is None else 'both'}, expected one: "
+            "cells=[(r, c)] is the middle of a cell, points=[(r + 0.5, c + 0.5)]"
+        )
+    if points is not None:
+        name, from_corner = "points", np.asarray(points, np.float64)
+    else:
+        if np.asarray(cells).dtype.kind not in "iu":
+            raise ValueError(
+                f"cells: got numbers of {np.asarray(cells).dtype}, expected integers; points= "
+                "takes others"
+            )
+        name, from_corner = "cells", np.asarray(cells) + 0.5
     if from_corner.shape[-1:] != (2,):
         raise ValueError(
-            f"points: got shape {from_corner.shape}, expected (..., 2): row and column"
+            f"{name}: got shape {from_corner.shape}, expected (..., 2): row and column"
         )
     if np.shape(origin) != (3,):
         raise ValueError(

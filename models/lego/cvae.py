@@ -22,6 +22,7 @@ from numpy.random import Generator
 from torch import Tensor, nn
 
 from mapdata.arrays import Bytes, Floats, Ints
+from mapdata.checks import check_count
 
 from ..layers import padded
 from ..model import Tensors
@@ -103,6 +104,9 @@ class CVAE(Sampler):
         """Make the networks."""
         super().__init__(targets)
         self.save_hyperparameters()
+        self._check_learning_rate()
+        for name, count in (("latent", latent), ("width", width), ("code", code)):
+            check_count(name, count)
         layers = []
         for inputs, outputs, stride in ((4 * 14, 32, 1), (32, 48, 2), (48, 64, 2)):
             layers += [nn.Conv2d(inputs, outputs, 3, stride, padding=1), nn.ReLU()]

@@ -39,9 +39,15 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
-from mapdata import MapDataModule, Sample, inflate
+from mapdata import MapDataModule, Sample, inflate, to_metres
 from mapdata.arrays import Bytes, Floats, Ints
-from mapdata.checks import check_choice, check_count, check_resolution
+from mapdata.checks import (
+    check_choice,
+    check_count,
+    check_finite,
+    check_number,
+    check_resolution,
+)
 
 from ..geometry import cell_numbers, check_problems, offsets
 from ..layers import Trunk, padded
@@ -175,9 +181,10 @@ class Sampler(Model):
         n: int,
         seed: int = 0,
         *,
+        radius_cells: float = 0.0,
         radius: float = 0.0,
         resolution: float | None = None,
-        origin: tuple[float, float] = (0.0, 0.0),
+        origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> Floats:
         """Return (n, 2) points in free cells: where a roadmap of this problem needs its vertices.
 
@@ -190,28 +197,34 @@ class Sampler(Model):
             goal: (2,), cell.
             n: number of points.
             seed: seed of the draws.
-            radius: radius of the robot, in metres with a ``resolution``, otherwise in cells; points
-                lie in cells at which the robot meets no obstacle.
+            radius_cells: radius of the robot, in cells, without a ``resolution``; points lie in
+                cells at which the robot meets no obstacle.
+            radius: the same in metres, with a ``resolution``.
             resolution: side of a cell, in metres.
-            origin: (x, y) of the lower left corner of the map, in metres; where the map is rotated
-                by a yaw, the caller must rotate the points.
+            origin: (x, y, yaw) of the lower left corner of the map, as in `mapdata.to_metres`.
 
         Raises:
             ValueError: a start or goal outside the map or on an occupied cell, for a robot of the
-                radius; n below 1; what `mapdata.inflate` refuses; a resolution of 0 or less.
+                radius; n below 1; what `mapdata.inflate` refuses; a resolution of 0 or less; a
+                radius in metres without a resolution, or one in cells with it.
         """
         occupied = np.asarray(map).reshape(np.shape(map)[-2:]) != 0  # (H, W)
         if resolution is None:
-            grid = inflate(occupied, radius)
+            if radius:
+                raise ValueError(
+                    f"radius: got {radius} metres without a resolution; give resolution=, or the "
+                    "radius in cells as radius_cells="
+                )
+            grid = inflate(occupied, radius_cells)
             return self.sample_batch(grid, start, goal, n, seed).squeeze(0)
         check_resolution("resolution", resolution)
-        grid = inflate(occupied, radius / resolution)
+        if radius_cells:
+            raise ValueError(
+                f"radius_cells: got {radius_cells} with a resolution, expected radius= in metres"
+            )
+        grid = inflate(occupied, check_number("radius", radius) / resolution)
         points = self.sample_batch(grid, start, goal, n, seed).squeeze(0)
-        rows, columns = points.T  # (n,) both
-        left, bottom = origin
-        x = left + resolution * columns
-        y = bottom + resolution * (len(grid) - rows)  # rows count downwards, y upwards
-        return np.column_stack([x, y])
+        return to_metres(points=points, rows=len(grid), resolution=resolution, origin=origin)
 
     def sample_batch(
         self, grids: ArrayLike, starts: ArrayLike, goals: ArrayLike, n: int, seed: int = 0
@@ -263,6 +276,11 @@ class Heatmap(Sampler):
         """Make the network."""
         super().__init__(targets)
         self.save_hyperparameters()
+        self._check_learning_rate()
+        check_finite("temperature", temperature)
+        check_finite("spacing", spacing)
+        if check_count("views", views) > 8:
+            raise ValueError(f"views: got {views}, expected 1 to 8 symmetries")
         self.trunk = Trunk(14, 2, widths, passes)
         nn.init.normal_(self.trunk.head.weight, std=0.02)
 

@@ -287,7 +287,9 @@ def test_the_interval_of_a_median_covers_it_in_19_of_20_samples(n: int) -> None:
     """By the exact probability of scipy: the interval covers the median of the distribution if
     the number of values below it is at least the lower rank, and less than the upper one.
     """
-    values = np.random.default_rng(n).permutation(n) + 1.0  # each value is its rank
+    values = (
+        np.random.default_rng(n).permutation(n).astype(np.float64) + 1
+    )  # each value is its rank
     median, low_rank, high_rank = median_interval(values)
     assert median == (n + 1) / 2
     below = stats.binom(n, 0.5)

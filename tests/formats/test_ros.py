@@ -307,12 +307,12 @@ def test_a_note_says_what_resampling_does_to_walls(resample: str | None, tmp_pat
 def test_metres_are_measured_from_the_origin(tmp_path: Path) -> None:
     """The origin is the lower left corner, row 0 is on top, and yaw rotates about the origin."""
     ros_map = read_map(write(tmp_path, origin="[1.0, 2.0, 0.0]"))
-    assert ros_map.to_metres(1, 0) == pytest.approx((1.025, 2.025))
-    assert ros_map.to_metres(0, 2) == pytest.approx((1.125, 2.075))
-    with pytest.raises(ValueError, match=r"row: got shape \(2,\), expected one cell; for many"):
-        ros_map.to_metres(np.array([0, 1]), np.array([2, 0]))  # type: ignore[arg-type]
+    assert ros_map.to_metres(cells=(1, 0)) == pytest.approx([1.025, 2.025])
+    assert ros_map.to_metres(points=(0.5, 2.5)) == pytest.approx([1.125, 2.075])
+    with pytest.raises(ValueError, match="points and cells: got neither"):
+        ros_map.to_metres()
     turned = read_map(write(tmp_path, origin="[1.0, 2.0, 1.5707963267948966]"))
-    assert turned.to_metres(0, 2) == pytest.approx((1 - 0.075, 2.125))
+    assert turned.to_metres(cells=(0, 2)) == pytest.approx([1 - 0.075, 2.125])
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.3, 1.5707963267948966, -2.5])
@@ -320,19 +320,21 @@ def test_points_in_metres_lie_in_cells(yaw: float, tmp_path: Path) -> None:
     """The middle of each cell, and points near its corners, lie in that cell."""
     ros_map = read_map(write(tmp_path, origin=f"[1.0, -2.0, {yaw}]"))
     cells = np.argwhere(np.ones_like(ros_map.cells))
-    middles = np.array([ros_map.to_metres(row, column) for row, column in cells.tolist()])
+    middles = ros_map.to_metres(cells=cells)
     assert np.array_equal(ros_map.to_cells(middles), cells)
     assert ros_map.to_cells(middles.reshape(2, 3, 2)).shape == (2, 3, 2)
     assert ros_map.to_cells(middles[4]).tolist() == [1, 1]
     for offset in ((0.45, 0.45), (-0.45, 0.45), (-0.45, -0.45)):
-        corners = to_metres(cells + 0.5 + offset, 2, 0.05, ros_map.origin)
+        corners = to_metres(
+            points=cells + 0.5 + offset, rows=2, resolution=0.05, origin=ros_map.origin
+        )
         assert np.array_equal(ros_map.to_cells(corners), cells)
-    outside = to_metres([[0.5, 0.5], [2.1, 0.5]], 2, 0.05, ros_map.origin)
+    outside = ros_map.to_metres(points=[[0.5, 0.5], [2.1, 0.5]])
     with pytest.raises(ValueError, match="outside of the map of 2 x 3 cells"):
         ros_map.to_cells(outside)
     with pytest.raises(ValueError, match="outside of the map"):
         ros_map.to_cells([np.nan, 0])
-    with pytest.raises(ValueError, match=r"points: got shape \(3,\), expected \(..., 2\)"):
+    with pytest.raises(ValueError, match=r"metres: got shape \(3,\), expected \(..., 2\)"):
         ros_map.to_cells([1.0, 2.0, 0.0])
 
 

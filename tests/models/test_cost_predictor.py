@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import astuple
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -18,7 +19,6 @@ from mapdata.models.cost_predictor import (
     centred,
     path_weights,
     random_parts,
-    terrain_from_costs,
 )
 
 TILES = Movement(8, corner_cutting=True, diagonal_cost=1)
@@ -158,13 +158,6 @@ def test_costs_have_one_scale_on_every_map() -> None:
     assert float(centred(torch.full((3, 5, 8), 7.0), occupied).abs().max()) < 1e-5
 
 
-def test_terrain_of_costs_spans_its_range() -> None:
-    """The largest cost is 255, no free cell is 0, and occupied cells are."""
-    costs = np.array([[[0.001, 1.0, 2.0], [9.0, 4.0, 0.5]]], np.float32)
-    grids = np.array([[[0, 0, 0], [1, 0, 0]]], np.uint8)
-    assert terrain_from_costs(costs, grids).tolist() == [[[1, 64, 128], [0, 255, 32]]]
-
-
 def test_images_of_another_size_are_refused() -> None:
     """The message names both shapes."""
     model = CostPredictor()
@@ -221,6 +214,50 @@ def test_the_loss_of_neural_astar_has_a_gradient() -> None:
     assert 0 < loss.item() < 1
     loss.backward()
     assert all(float(p.grad.abs().sum()) > 0 for p in model.parameters() if p.grad is not None)
+
+
+@pytest.mark.parametrize("loss", ["paths", "terrain", "expansions"])
+def test_a_batch_without_any_path_has_a_loss(
+    loss: Literal["paths", "terrain", "expansions"],
+) -> None:
+    """It is 0 for losses of paths, and its gradient is finite; neither is NaN logged."""
+    samples = batch(4)
+    alone = samples._replace(path=torch.full_like(samples.path, -1))
+    model = CostPredictor(loss=loss)
+    value = model.losses(alone)["loss"]
+    value.backward()
+    assert all(p.grad is None or p.grad.isfinite().all() for p in model.parameters())
+    if loss == "terrain":
+        assert value == model.losses(samples)["loss"] > 0
+        walls = alone._replace(map=torch.ones_like(alone.map))
+        value = model.losses(walls)["loss"]
+    assert value == 0
+
+
+def test_problems_without_a_path_do_not_count_for_expansions() -> None:
+    """The loss of a batch is that of its problems that have one."""
+    samples = batch(4)
+    paths = samples.path.clone()
+    paths[1] = -1
+    kept = [0, 2, 3]
+    model = CostPredictor(loss="expansions")
+    found = model.losses(samples._replace(path=paths))["loss"].item()
+    rows = samples._replace(**{name: field[kept] for name, field in samples._asdict().items()})
+    assert found == pytest.approx(model.losses(rows)["loss"].item(), rel=1e-5)
+
+
+def test_validation_of_a_batch_without_any_path_logs_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A mean over nothing would make the mean of all batches NaN."""
+    logged: list[Any] = []
+    model = CostPredictor()
+    monkeypatch.setattr(model, "log_dict", lambda scores, **_: logged.append(scores))
+    samples = batch(4)
+    model.validation_step(samples._replace(goal=samples.start), 0)
+    assert not logged
+    model.validation_step(samples, 0)
+    assert np.isfinite(logged[0]["val_regret"])
 
 
 def test_an_unknown_loss_is_refused() -> None:

@@ -99,6 +99,9 @@ def test_a_pretrained_sampler_is_loaded_by_name() -> None:
     ("model", "name", "error"),
     [
         (PathPredictor, "fuor", "got 'fuor', expected one of eight, cut, four; did you mean four?"),
+        (PathPredictor, "8", "got '8', expected one of eight, cut, four; did you mean eight?"),
+        (PathPredictor, 4, "got 4, expected one of eight, cut, four; did you mean four?"),
+        (CostPredictor, "8", "CostPredictor.pretrained: got '8', expected one of tiles"),
         (Heatmap, "eight", "Heatmap.pretrained: got 'eight', expected one of lego, shortest_path"),
         (NeuralAstar, None, "NeuralAstar: no weights of it ship"),
     ],

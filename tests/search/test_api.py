@@ -4,6 +4,7 @@ named.
 
 from __future__ import annotations
 
+import math
 import re
 import threading
 from collections.abc import Callable, Sequence
@@ -20,7 +21,7 @@ from helpers.specs import movements
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapdata import SearchResult, astar, bfs, check_path, distance_field
+from mapdata import SearchResult, astar, bfs, check_path, distance_field, terrain_from_costs
 from mapdata.evaluation import BestFirst
 from mapdata.movement import Movement
 from mapdata.search import api, search_batch
@@ -627,11 +628,101 @@ def test_a_batch_is_its_problems(search: str, shared: bool, movement: Movement) 
         start = tuple(starts[k].tolist())
         goal = tuple(goals[k].tolist())
         expected = truth(grids[k].tolist(), start, goal, movement)
-        path = batch.cells[batch.offsets[k] : batch.offsets[k + 1]]
+        path = batch.path(k)
         assert [tuple(cell) for cell in path.tolist()] == expected.path
         assert batch.cost[k] == expected.cost
         assert batch.iterations[k] == expected.iterations
     assert batch.cost[3] == -1
+    assert [path.tolist() for path in batch.paths()] == [batch.path(k).tolist() for k in range(12)]
+    masks = batch.masks(maps.shape)
+    assert masks.dtype == np.uint8
+    assert masks.shape == (count, 9, 11)
+    for mask, path in zip(masks, batch.paths(), strict=True):
+        expected_mask = np.zeros((9, 11))
+        for cell in path.tolist():
+            expected_mask[tuple(cell)] = 1
+        np.testing.assert_array_equal(mask, expected_mask)
+
+
+def test_paths_of_a_batch_outside_its_problems_or_maps() -> None:
+    """Numbers count from the end, too; a batch of no problem has no path and no mask."""
+    grids = np.zeros((2, 3, 4), np.uint8)
+    batch = search_batch("astar", grids, [(0, 0), (2, 0)], [(0, 3), (0, 0)])
+    assert batch.path(-1).tolist() == [[2, 0], [1, 0], [0, 0]]
+    for k in (2, -3):
+        with pytest.raises(IndexError, match=f"path {k} is out of range for 2 problems"):
+            batch.path(k)
+    message = r"shape: got 3 x 3 cells, but a path has the cell \(0, 3\)"
+    with pytest.raises(ValueError, match=message):
+        batch.masks((3, 3))
+    empty = search_batch("astar", grids[0], np.empty((0, 2), int), np.empty((0, 2), int))
+    assert (empty.paths(), empty.masks((3, 4)).shape) == ([], (0, 3, 4))
+    assert len(empty) == 4  # the four arrays, as they were
+
+
+# --- costs of any scale -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64, np.uint16, np.int64])
+def test_terrain_of_costs_spans_its_range(dtype: Any) -> None:
+    """The largest cost is 255, no free cell is 0, and occupied cells are, on each map by itself."""
+    costs = np.array([[[0, 100, 210], [900, 400, 50]], [[1, 1, 1], [2, 2, 0]]]).astype(dtype)
+    grids = np.array([[[0, 0, 0], [1, 0, 0]], [[1, 1, 1], [1, 1, 1]]], np.uint8)
+    expected = [[[1, 64, 134], [0, 255, 32]], [[0, 0, 0], [0, 0, 0]]]
+    assert terrain_from_costs(costs, grids).tolist() == expected
+    assert terrain_from_costs(costs[0], grids[0]).tolist() == expected[0]
+
+
+def test_terrain_of_costs_has_the_resolution_that_it_states() -> None:
+    """Half of 1/255 of the largest cost, whatever the scale; and the paths are those of the
+    reference on the rounded costs.
+    """
+    source = np.random.default_rng(4)
+    grids = (source.random((5, 12, 12)) < 0.2).astype(np.uint8)
+    grids[:, 0, 0] = grids[:, -1, -1] = 0
+    for scale in (1e-12, 1, 1e30):
+        costs = np.where(grids, np.nan, scale * source.uniform(0.01, 1, grids.shape))
+        terrain = terrain_from_costs(costs, grids)
+        largest = np.nanmax(costs, axis=(1, 2), keepdims=True)
+        errors = np.abs(terrain * largest / 255 - costs)[grids == 0]
+        assert errors.max() <= largest.max() / 510 * (1 + 1e-6)
+        ends = np.zeros((5, 2), int), np.full((5, 2), 11)
+        found = search_batch("astar", grids, *ends, OCTILE, terrain=terrain)
+        for k in range(5):
+            truth = reference.reference_astar(
+                grids[k].tolist(), (0, 0), (11, 11), OCTILE, terrain[k].tolist()
+            )
+            assert [tuple(cell) for cell in found.path(k).tolist()] == truth.path
+    assert (terrain_from_costs(np.zeros((2, 2)), np.zeros((2, 2))) == 1).all()
+
+
+@pytest.mark.parametrize(
+    ("costs", "message"),
+    [
+        ([[1.0, math.nan]], r"costs: got nan at \(0, 1\), expected a finite number of at least 0"),
+        ([[1.0, -0.5]], r"costs: got -0.5 at \(0, 1\), expected"),
+        ([[math.inf, 1.0]], r"costs: got inf at \(0, 0\), expected"),
+        ([[1.0, 1j]], "costs: got dtype complex128, expected numbers"),
+        ([[1.0, 1.0, 1.0]], r"costs: got shape \(1, 3\), expected \(1, 2\)"),
+    ],
+)
+def test_costs_that_are_none_are_refused(costs: Any, message: str) -> None:
+    """By cell, where one cell is wrong."""
+    with pytest.raises(ValueError, match=message):
+        terrain_from_costs(costs, [[0, 0]])
+    with pytest.raises(ValueError, match="grid: got the value 2"):
+        terrain_from_costs([[1.0, 1.0]], [[0, 2]])
+
+
+@pytest.mark.parametrize("costs", [[[0.5, 0.7]], [[300, 1]]])
+def test_terrain_of_other_costs_names_the_function_that_makes_it(costs: Any) -> None:
+    """Searches are exact, so they do not round by themselves."""
+    for search in (
+        lambda terrain: search_batch("astar", [[0, 0]], [(0, 0)], [(0, 1)], terrain=terrain),
+        lambda terrain: astar([[0, 0]], (0, 0), (0, 1), terrain=terrain),
+    ):
+        with pytest.raises(ValueError, match=r"mapdata.terrain_from_costs\(costs, grids\) makes"):
+            search(costs)
 
 
 @pytest.mark.parametrize("cell", [(-1, 0), (0, -1), (4, 0), (0, 5), (1, 1)], ids=str)

@@ -116,7 +116,7 @@ def test_a_radius_of_too_many_cells_is_named(resolution: float) -> None:
 @pytest.mark.parametrize("radius", [-1, math.nan, math.inf, 1e6, 1e200, "wide", True, None])
 def test_a_bad_radius_is_named(radius: object) -> None:
     """With what was expected."""
-    with pytest.raises(ValueError, match="radius: got " + re.escape(repr(radius))):
+    with pytest.raises(ValueError, match="radius_cells: got " + re.escape(repr(radius))):
         inflate([[0]], radius)  # type: ignore[arg-type]
 
 

@@ -594,17 +594,29 @@ def test_lines_are_tested_on_maps_as_datasets_serve_them() -> None:
 def test_points_in_metres_are_those_of_the_cells() -> None:
     """The origin is the lower left corner, about which the map is turned."""
     points = [[[3.0, 0.0], [0.0, 4.0]]]
-    np.testing.assert_allclose(to_metres(points, 3, 0.5)[0], np.array([[0, 0], [2, 1.5]]))
-    turned = to_metres(points, 3, 0.5, (10.0, 20.0, math.pi / 2))
+    np.testing.assert_allclose(
+        to_metres(points=points, rows=3, resolution=0.5)[0], np.array([[0, 0], [2, 1.5]])
+    )
+    turned = to_metres(points=points, rows=3, resolution=0.5, origin=(10.0, 20.0, math.pi / 2))
     np.testing.assert_allclose(turned[0], np.array([[10, 20], [8.5, 22]]))
+    middles = to_metres(cells=[[2, 0], [0, 3]], rows=3, resolution=0.5)
+    np.testing.assert_allclose(middles, np.array([[0.25, 0.25], [1.75, 1.25]]))
 
 
 def test_points_and_origins_of_another_shape_are_refused() -> None:
     """The error names the expected shape; an origin has a yaw."""
     with pytest.raises(ValueError, match=r"origin: got \(0, 0\), expected \(x, y, yaw\)"):
-        to_metres([[1, 2]], 3, 0.5, (0, 0))  # type: ignore[arg-type]
+        to_metres(points=[[1, 2]], rows=3, resolution=0.5, origin=(0, 0))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"points: got shape \(3,\), expected \(..., 2\)"):
-        to_metres([1, 2, 3], 3, 0.5)
+        to_metres(points=[1, 2, 3], rows=3, resolution=0.5)
+    for arguments, message in (
+        ({}, "points and cells: got neither, expected one"),
+        ({"points": [1, 2], "cells": [1, 2]}, "points and cells: got both, expected one"),
+        ({"cells": [1.0, 2.0]}, "cells: got numbers of float64, expected integers; points= takes"),
+        ({"cells": [1, 2, 3]}, r"cells: got shape \(3,\)"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            to_metres(**arguments, rows=3, resolution=0.5)
 
 
 def test_pulling_refuses_what_it_cannot_serve() -> None:
@@ -615,8 +627,8 @@ def test_pulling_refuses_what_it_cannot_serve() -> None:
     with pytest.raises(ValueError, match="path: got no cell"):
         pull_taut(free, [])
     with pytest.raises(ValueError, match=r"path: cell 0, \(0, 0\) is on an occupied cell"):
-        pull_taut(free, [(0, 0), (0, 1)], radius=1)
-    with pytest.raises(ValueError, match="radius: got -1, expected a number of at least 0"):
-        pull_taut(free, [(0, 0)], radius=-1)
+        pull_taut(free, [(0, 0), (0, 1)], radius_cells=1)
+    with pytest.raises(ValueError, match="radius_cells: got -1, expected a number of at"):
+        pull_taut(free, [(0, 0)], radius_cells=-1)
     with pytest.raises(ValueError, match="grid: got 1 x 65537 cells, expected at most 65,536"):
         pull_taut(np.zeros((1, MAX_TAUT_SIDE + 1), np.uint8), [(0, 0)])

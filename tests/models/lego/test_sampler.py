@@ -431,11 +431,15 @@ def test_problems_that_make_no_sense_are_refused(model_class: type[Any]) -> None
     with pytest.raises(ValueError, match="n: got 0, expected an integer of at least 1"):
         model.sample(grid, (0, 0), (9, 9), 0)
     with pytest.raises(ValueError, match=r"start: \(0, 0\) is on an occupied"):
-        model.sample(grid, (0, 0), (9, 9), 5, radius=0.6)  # at the border
+        model.sample(grid, (0, 0), (9, 9), 5, radius_cells=0.6)  # at the border
     with pytest.raises(ValueError, match=r"resolution: got 0.0, expected metres per cell above 0"):
         model.sample(grid, (0, 0), (9, 9), 5, resolution=0.0)
-    with pytest.raises(ValueError, match="radius: got -1"):
-        model.sample(grid, (0, 0), (9, 9), 5, radius=-1)
+    with pytest.raises(ValueError, match="radius_cells: got -1"):
+        model.sample(grid, (0, 0), (9, 9), 5, radius_cells=-1)
+    with pytest.raises(ValueError, match=r"radius: got 0.2 metres without a resolution; give"):
+        model.sample(grid, (0, 0), (9, 9), 5, radius=0.2)
+    with pytest.raises(ValueError, match="radius_cells: got 2 with a resolution, expected radius="):
+        model.sample(grid, (0, 0), (9, 9), 5, radius_cells=2, resolution=0.1)
     with pytest.raises(ValueError, match="without a free cell"):
         model.sample(np.ones((16, 16)), (0, 0), (9, 9), 5)
     for wrong, reason in (
@@ -460,16 +464,19 @@ def test_samples_in_metres(model_class: type[Sampler]) -> None:
     grid = np.zeros((20, 30), np.uint8)
     grid[5:9, 4:20] = 1
     start, goal = (2, 2), (17, 25)
-    cells = model.sample(grid, start, goal, 40, radius=1.5)
+    cells = model.sample(grid, start, goal, 40, radius_cells=1.5)
     assert free_at(inflate(grid, 1.5), cells).all()
     # As floats, 0.15 / 0.1 is not exactly 1.5, but it must count as 1.5.
-    metres = model.sample(grid, start, goal, 40, radius=0.15, resolution=0.1, origin=(-3.0, 7.0))
+    robot = {"radius": 0.15, "resolution": 0.1}
+    metres = model.sample(grid, start, goal, 40, **robot, origin=(-3.0, 7.0, 0.0))
     assert metres.shape == (40, 2)
     from_left_edge = metres[:, 0] + 3.0
     from_lower_edge = metres[:, 1] - 7.0
     height = 2.0  # 20 rows
     np.testing.assert_allclose(from_left_edge, cells[:, 1] / 10)
     np.testing.assert_allclose(from_lower_edge, height - cells[:, 0] / 10)
+    turned = model.sample(grid, start, goal, 40, **robot, origin=(-3.0, 7.0, np.pi / 2))
+    np.testing.assert_allclose(turned[:, 1] - 7.0, from_left_edge)
 
 
 def test_padding_changes_nothing() -> None:
