@@ -12,6 +12,7 @@ import sys
 import time
 from contextlib import nullcontext
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import Literal
 
 from mapdata._version import __version__
@@ -39,6 +40,9 @@ def build_command(
     preset: str | None = None,
     map_size: tuple[int, int] | None = None,
     recipe: str | None = None,
+    connectivity: Literal[4, 8] | None = None,
+    corner_cutting: bool = False,
+    diagonal_cost: float | None = None,
     shard_size: int = 1000,
     workers: int | None = None,
     scheduler: str | None = None,
@@ -49,7 +53,7 @@ def build_command(
     Examples:
       mapdata build data/maps
       mapdata build data/dungeon --preset dungeon --maps 500 --seed 7
-      mapdata build data/large --preset cave --map-size 128x128
+      mapdata build data/large --preset cave --map-size 128x128 --connectivity 8
       mapdata build data/halls --recipe '{"spec": {"map_size": [48, 96], "rooms": [4, 12]}}'
       mapdata build data/again --recipe recipe.json
 
@@ -62,6 +66,10 @@ def build_command(
         map_size: rows and columns of a map (default: those of the preset)
         recipe: file that 'mapdata info ROOT --recipe' wrote, JSON text of a recipe, or a preset's
             name
+        connectivity: 4-connected or 8-connected movement of the stored paths (default: that of the
+            preset)
+        corner_cutting: allow diagonal moves beside occupied cells
+        diagonal_cost: cost of a diagonal move: 1 or 1.41421356
         shard_size: number of maps per shard
         workers: number of threads (default: one per core)
         scheduler: build with Dask; address of its scheduler, tcp://HOST:PORT
@@ -71,7 +79,9 @@ def build_command(
     from mapdata.shards import build
     from mapdata.shards.cluster import dask_executor
 
-    for flag, value in (("--preset", preset), ("--map-size", map_size)):
+    movement = convert.movement_of_flags(connectivity, corner_cutting, diagonal_cost)
+    generator_flags = {"--preset": preset, "--map-size": map_size, "--connectivity": movement}
+    for flag, value in generator_flags.items():
         if value is not None and recipe is not None:
             raise ValueError(f"{flag}: not allowed with --recipe, which states the generator")
     match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", part)
@@ -88,7 +98,11 @@ def build_command(
         generator = MapGenerator.preset(preset or "paper")
         if map_size is not None:
             generator = replace(generator, map_size=map_size)
+        if movement is not None:
+            generator = replace(generator, movement=movement)
         to_build = as_recipe(generator, maps=maps, seed=seed)
+    if scheduler is not None:  # which may take most of a minute before it fails
+        print(f"connecting to {scheduler} ...", file=sys.stderr, flush=True)
     began = time.perf_counter()
     with nullcontext() if scheduler is None else dask_executor(scheduler) as executor:
         manifest = build(
@@ -101,6 +115,12 @@ def build_command(
             progress=True,
         )
     print(summary(root, manifest, time.perf_counter() - began))
+    part_index, part_count = int(match[1]), int(match[2])
+    if part_count > 1:
+        shard_count = -(-to_build.maps // shard_size)
+        own_count = len(range(part_index, shard_count, part_count))
+        noun = "shard" if own_count == 1 else "shards"
+        print(f"part {part_index + 1} of {part_count}: {own_count} {noun} of {shard_count}")
     if to_build.content_hash is not None and manifest.complete:
         print("The content hash is the recipe's: these are the same maps and labels, bit for bit.")
 
@@ -285,6 +305,9 @@ def show_command(
     if output is None:
         output = unused_name("map.png")
     path = output_path(output)
+    *_, last = root
+    if len(root) > 1 and last.isdigit() and not Path(last).exists():
+        raise ValueError(f"{last}: no dataset; did you mean --index {last}?")
     if index is not None and figure not in SINGLE_MAP_FIGURES:
         raise ValueError(
             f"--index: does nothing with --figure {figure}, which shows the whole dataset"

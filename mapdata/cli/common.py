@@ -93,7 +93,11 @@ def summary(
     lines["reachable segments"] = f"{manifest.total('reachable') / segments:.1%}"
     lines["fully connected maps"] = f"{manifest.total('all_connected') / max(done, 1):.1%}"
     lines["identity"] = identity_text(manifest)
-    lines["content hash"] = manifest.content_hash
+    lines["content hash"] = (
+        manifest.content_hash
+        if manifest.complete
+        else f"of the finished dataset only; these {done:,} maps: {manifest.content_hash}"
+    )
     example = min(7, max(done - 1, 0))
     flag = " --follow-links" if follow_links else ""
     lines["look"] = f"mapdata show {shlex.quote(root)} --index {example} -o map.png{flag}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import astuple, dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ from mapdata.checks import (
     check_seed,
     did_you_mean,
     items_of,
+    known_values,
 )
 from mapdata.datasets.fields import FIELDS, Waypoints
 from mapdata.datasets.sample import Sample
@@ -39,6 +40,9 @@ Transform = Callable[[Sample], Any]
 DEFAULT_FIELDS = ("map", "start", "goal", "path")
 
 DEFAULT_PROBLEMS = Route()
+
+MovementLike = Movement | tuple[int, bool, float] | Mapping[str, Any]
+"""A `Movement`, its values in their order, or some of them by name, as configurations have it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,6 +137,25 @@ class Serving:
             raise ValueError(
                 "fields: a function gives its name to the sample; use 'def', not 'lambda'"
             )
+
+
+def as_movement(movement: MovementLike | None) -> Movement | None:
+    """Return the `Movement` that a mapping or a sequence stands for; None is unchanged.
+
+    Raises:
+        ValueError: it is none of these.
+    """
+    if movement is None or isinstance(movement, Movement):
+        return movement
+    if isinstance(movement, Mapping):
+        return Movement(**known_values("movement", movement, Movement))
+    values = items_of(movement)
+    if not 1 <= len(values) <= 3:
+        raise ValueError(
+            f"movement: got {movement!r}, expected a Movement, or a mapping such as "
+            "{connectivity: 8}"
+        )
+    return Movement(*values)
 
 
 def field_names(fields: Sequence[str | FieldFunction]) -> tuple[str, ...]:

@@ -18,15 +18,15 @@ from mapdata.checks import (
     check_choice,
     check_count,
     check_flag,
-    items_of,
-    known_values,
     plain_values,
 )
 from mapdata.datasets.arguments import (
     DEFAULT_FIELDS,
     FieldFunction,
+    MovementLike,
     Serving,
     Transform,
+    as_movement,
     torch_dtype,
 )
 from mapdata.datasets.dataset import MapDataset
@@ -36,7 +36,6 @@ from mapdata.datasets.sampler import EpochSampler, LateLoader
 from mapdata.generators.generator import MapGenerator, identity
 from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe
 from mapdata.limits import SPLITS
-from mapdata.movement import Movement
 from mapdata.problems.sources import SourceLike, problem_source
 from mapdata.shards.builder import build
 from mapdata.shards.locations import is_url, locations
@@ -118,8 +117,6 @@ class MapDataModule(_Base):
         fields: as in `MapDataset`, like all further arguments. ``augment`` concerns the training
             split only, ``transform`` all splits. A checkpoint holds neither a ``transform`` nor
             functions among the fields: give them to ``load_from_checkpoint`` again.
-        movement: a `Movement`; (connectivity, corner_cutting, diagonal_cost); or some of these by
-            name, as a mapping.
 
     Raises:
         ValueError: arguments that do not fit, or that would do nothing.
@@ -141,7 +138,7 @@ class MapDataModule(_Base):
         fields: Sequence[str | FieldFunction] = DEFAULT_FIELDS,
         problems: SourceLike = "route",
         search: str = "astar",
-        movement: Movement | tuple[int, bool, float] | Mapping[str, Any] | None = None,
+        movement: MovementLike | None = None,
         augment: bool = False,
         sampling_seed: int = 0,
         max_length: int | None = None,
@@ -180,7 +177,7 @@ class MapDataModule(_Base):
             fields=fields,
             problems=problem_source(problems),
             search=search,
-            movement=_movement(movement),
+            movement=as_movement(movement),
             augment=augment,
             sampling_seed=sampling_seed,
             max_length=max_length,
@@ -368,25 +365,6 @@ class MapDataModule(_Base):
             return batch
         dtype: Any = self.trainer.lightning_module.dtype if self.trainer else torch.float32
         return cast(batch, dtype)
-
-
-def _movement(argument: Any) -> Any:
-    """Return the `Movement` that a mapping or a sequence stands for; None is unchanged.
-
-    Raises:
-        ValueError: it is none of these.
-    """
-    if argument is None or isinstance(argument, Movement):
-        return argument
-    if isinstance(argument, Mapping):
-        return Movement(**known_values("movement", argument, Movement))
-    values = items_of(argument)
-    if not values:
-        raise ValueError(
-            f"movement: got {argument!r}, expected a Movement, or a mapping such as "
-            "{connectivity: 8}"
-        )
-    return Movement(*values)
 
 
 def _checked_loader_options(options: Mapping[str, Any] | None) -> dict[str, Any]:

@@ -20,8 +20,10 @@ from mapdata.checks import check_choice, check_flag
 from mapdata.datasets.arguments import (
     DEFAULT_FIELDS,
     FieldFunction,
+    MovementLike,
     Serving,
     Transform,
+    as_movement,
     field_names,
     torch_dtype,
 )
@@ -512,7 +514,8 @@ class SampledProblemDataset(ProblemDataset):
         remedy = "wider conditions" if isinstance(problems, Random) else "other maps"
         if self.serving.radius:
             remedy += f", or a smaller radius than {self.serving.radius:g} m"
-        return f"problems={problems}: none on one map after another; take {remedy}"
+        asked_for = plain_text(problems)
+        return f"problems: got {asked_for}: none on one map after another; take {remedy}"
 
     def _sample(
         self, map_numbers: Ints, indices: Ints, epoch: int, attempt: int
@@ -599,7 +602,9 @@ class MapDataset(SampledProblemDataset):
             no path under the movement and radius that are served, unless it is
             ``Route(unsolvable=True)`` or ``Pairs(unsolvable=True)``.
         search: "astar" or "bfs", whose paths, costs, iterations and matrices are served.
-        movement: None for the stored one; under another, problems are solved on the fly. If one of
+        movement: None for the stored one; a `Movement`; (connectivity, corner_cutting,
+            diagonal_cost); or some of these by name, as a mapping. Under another one than the
+            stored one, problems are solved on the fly. If one of
             the two cuts corners and the other does not, they do not connect the same cells. Then
             the connected components of every map decide which problems of a route or of pairs have
             a path: opening the dataset opens all shards, and takes some 20 us a map of 64 x 64
@@ -647,7 +652,7 @@ class MapDataset(SampledProblemDataset):
         *,
         problems: SourceLike = "route",
         search: str = "astar",
-        movement: Movement | None = None,
+        movement: MovementLike | None = None,
         augment: bool = False,
         sampling_seed: int = 0,
         max_length: int | None = None,
@@ -661,7 +666,7 @@ class MapDataset(SampledProblemDataset):
             fields=fields,
             problems=problem_source(problems),
             search=search,
-            movement=movement,
+            movement=as_movement(movement),
             augment=augment,
             sampling_seed=sampling_seed,
             max_length=max_length,
@@ -677,7 +682,7 @@ class MapDataset(SampledProblemDataset):
         reader = self.reader
         self._content_hashes = [manifest.content_hash for manifest in reader.manifests]
         self._max_seed_points = reader.max_seed_points
-        self.movement = movement or reader.movement
+        self.movement = serving.movement or reader.movement
         self.map_size = reader.map_size
         self.has_terrain = reader.has_terrain
         self._min_clearance = reader.min_clearance

@@ -9,7 +9,14 @@ import torch
 
 from mapdata.arrays import Ints
 from mapdata.checks import check_count
-from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving, Transform
+from mapdata.datasets.arguments import (
+    DEFAULT_FIELDS,
+    FieldFunction,
+    MovementLike,
+    Serving,
+    Transform,
+    as_movement,
+)
 from mapdata.datasets.dataset import SampledProblemDataset, SampledProblems
 from mapdata.datasets.fields import Paths, StoredMaps
 from mapdata.datasets.info import DatasetInfo, field_infos
@@ -24,7 +31,6 @@ from mapdata.generators.recipe import (
 )
 from mapdata.generators.splits import draw_splits, maps_of_split, split_thresholds
 from mapdata.limits import SPLITS
-from mapdata.movement import Movement
 from mapdata.problems.sampling import solve_pairs
 from mapdata.problems.sources import Random, Route, SourceLike, problem_source
 from mapdata.problems.terrain_sampling import solve_terrain_pairs
@@ -67,7 +73,7 @@ class OnlineMapDataset(SampledProblemDataset):
         *,
         problems: SourceLike = "route",
         search: str = "astar",
-        movement: Movement | None = None,
+        movement: MovementLike | None = None,
         augment: bool = False,
         sampling_seed: int = 0,
         max_length: int | None = None,
@@ -80,7 +86,7 @@ class OnlineMapDataset(SampledProblemDataset):
             fields=fields,
             problems=problem_source(problems),
             search=search,
-            movement=movement,
+            movement=as_movement(movement),
             augment=augment,
             sampling_seed=sampling_seed,
             max_length=max_length,
@@ -94,7 +100,7 @@ class OnlineMapDataset(SampledProblemDataset):
         super().__init__(split, serving)
         self.seed = recipe.seed
         self.length = recipe.maps if length is None else check_count("length", length)
-        self.movement = movement or self.generator.movement
+        self.movement = serving.movement or self.generator.movement
         self.map_size = self.generator.map_size
         self.has_terrain = self.generator.has_terrain
         self._min_clearance = min_squared_clearance(radius, self.generator.resolution)

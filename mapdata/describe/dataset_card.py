@@ -491,11 +491,11 @@ def _share_text(part: int, whole: int) -> str:
 
 def _markdown(section: Section, level: int) -> str:
     """Return a section as Markdown with a heading of this level."""
-    parts = [f"{'#' * level} {_escaped(section.title)}"]
+    parts = [f"{'#' * level} {escaped(section.title)}"]
     if section.text:
-        parts.append(_escaped(section.text))
+        parts.append(escaped(section.text))
     if section.table:
-        lines = [f"| {' | '.join(map(_escaped, row))} |" for row in section.table]
+        lines = [f"| {' | '.join(map(escaped, row))} |" for row in section.table]
         column_count = len(section.table[0])
         lines.insert(1, "|" + "---|" * column_count)
         parts.append("\n".join(lines))
@@ -507,7 +507,7 @@ def _markdown(section: Section, level: int) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _escaped(text: str) -> str:
+def escaped(text: str) -> str:
     """Return ``text`` on one line, with the special characters of Markdown and HTML escaped."""
     line = escape(" ".join(text.split()), quote=False)
     return re.sub(r"([\\`*_\[\]|#])", r"\\\1", line)

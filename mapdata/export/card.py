@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mapdata.datasets.fields import FIELDS
-from mapdata.describe.dataset_card import front_matter
+from mapdata.describe.dataset_card import escaped, front_matter
 from mapdata.describe.problem_statistics import ProblemStatistics
 from mapdata.export.parquet import HUB_SPLITS
 
@@ -39,7 +40,7 @@ def problem_card(
     }
     if licence is not None:
         properties["license"] = licence
-    lines = [front_matter(name, total, **properties), f"# {name}", ""]
+    lines = [front_matter(name, total, **properties), f"# {escaped(name)}", ""]
     lines += [
         f"{total:,} path-planning problems on grid maps, made by mapdata {about['mapdata']}. A row "
         "is a problem.",
@@ -53,8 +54,8 @@ def problem_card(
         "",
         "## Columns",
         "",
-        "Cells are (row, col) from the upper left; 1 is occupied, 0 is free. A row has neither the "
-        "batch axis B nor the channel axis of 1.",
+        "Cells are (row, col) from the upper left; 1 is occupied, 0 is free. Shapes are those of a "
+        "row, where H and W are the rows and columns of a map.",
         "",
         "| column | meaning |",
         "|---|---|",
@@ -66,7 +67,7 @@ def problem_card(
         "```python",
         "from datasets import load_dataset",
         "",
-        f"# Give the path of this folder, or OWNER/{name} once it is on the Hub.",
+        f"# Give the path of this folder, or OWNER/{' '.join(name.split())} once it is on the Hub.",
         f'problems = load_dataset({name!r}, split="{HUB_SPLITS[next(iter(counts))]}")',
         'problems = problems.with_format("torch")',
         "```",
@@ -99,8 +100,14 @@ def _statistics_lines(statistics: Mapping[str, ProblemStatistics]) -> list[str]:
 
 
 def _meaning(field: str) -> str:
-    """Return the first sentence of a field's docstring, without its name."""
+    """Return the first sentence of a field's docstring, without its name, with the shape of a row.
+
+    A row has neither the batch axis B nor the channel axis of 1, as `table_of` writes it.
+    """
     if field == "path":
         return "(length, 2) int32, cells from start to goal, both included"
     text = (FIELDS[field].__doc__ or "").partition("\n")[0]
-    return text.partition(": ")[2].replace("|", "\\|")
+    _, _, meaning = text.partition(": ")
+    meaning = re.sub(r"^\(B,\) ", "", meaning)  # a number
+    meaning = re.sub(r"^\(B, (?:1, )?(.*?)\) ", r"(\1) ", meaning)
+    return meaning.replace("(2) ", "(2,) ").replace("|", "\\|")

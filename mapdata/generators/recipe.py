@@ -153,11 +153,19 @@ def _load(recipe: object) -> Recipe:
             return _from_json("recipe", recipe)
     if isinstance(recipe, (str, Path)) and os.path.isfile(recipe):
         return _from_file(recipe)
+    if isinstance(recipe, Path) or (isinstance(recipe, str) and _looks_like_a_path(recipe)):
+        state = "is a folder" if os.path.isdir(recipe) else "no such file"
+        raise ValueError(f"recipe: {recipe}: {state}, expected a recipe as JSON")
     raise ValueError(
         f"recipe: got {recipe!r}, expected a preset ({', '.join(PRESETS)}), the path of a recipe "
         f"file, JSON text such as {_EXAMPLE}, a mapping, a MapGenerator or a Recipe"
         f"{did_you_mean(recipe, PRESETS) if isinstance(recipe, str) else ''}"
     )
+
+
+def _looks_like_a_path(text: str) -> bool:
+    """Return whether a text can only be meant as the path of a recipe file."""
+    return "/" in text or os.sep in text or text.endswith(".json")
 
 
 def _from_file(path: str | Path) -> Recipe:

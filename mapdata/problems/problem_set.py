@@ -249,7 +249,7 @@ class ProblemSet:
         seed: int | None = None,
         maps: int | None = None,
         *,
-        movement: Movement,
+        movement: Movement | None = None,
         problems: SourceLike = Random(distance=(10, None)),
         until_hard: int | None = None,
         radius: float = 0.0,
@@ -275,12 +275,12 @@ class ProblemSet:
 
         Args:
             recipe: which maps: a preset's name, a recipe file, its JSON text or mapping, a
-                `MapGenerator` or a `Recipe`. The generator's own movement is not used.
+                `MapGenerator` or a `Recipe`.
             seed: 64-bit seed of the maps and of the problems; the recipe's by default, 0 for a
                 preset or generator.
             maps: number of maps. By default the recipe's, 10,000 for a preset or generator; with
                 ``until_hard`` as many as it takes, up to 1,000 for each hard problem.
-            movement: the rule of moves.
+            movement: the rule of moves; the generator's by default.
             problems: a `Random`, with its conditions on distance, hardness and length, and on the
                 goal; or a `Route` or `Pairs`, or its name. As for `MapDataset`.
             until_hard: stop at the map that brings the number of hard problems to this.
@@ -315,7 +315,7 @@ class ProblemSet:
             problems=problems,
             until_hard=until_hard,
             seed=recipe.seed,
-            movement=movement,
+            movement=movement or recipe.generator.movement,
             min_clearance=min_squared_clearance(radius, recipe.generator.resolution),
             source=f"the maps with identity {identity(recipe.generator, recipe.seed)[:12]}",
         )
@@ -325,7 +325,7 @@ class ProblemSet:
         root: Locations,
         maps: int | None = None,
         *,
-        movement: Movement,
+        movement: Movement | None = None,
         split: str = "test",
         seed: int | None = None,
         problems: SourceLike = Random(distance=(10, None)),
@@ -338,7 +338,7 @@ class ProblemSet:
         Args:
             root: folder or URL of the dataset, or several.
             maps: largest number of maps of the split; all maps by default.
-            movement: the rule of moves.
+            movement: the rule of moves; the stored one by default.
             split: "train", "val" or "test".
             seed: seed of the problems; that of the (first) dataset by default, 0 for imported maps.
             problems: the source of the problems, as for `sample`.
@@ -377,7 +377,7 @@ class ProblemSet:
             problems=problems,
             until_hard=until_hard,
             seed=check_seed(seed),
-            movement=movement,
+            movement=movement or dataset.movement,
             min_clearance=min_clearance,
             source=f"split {split} of {dataset}",
         )

@@ -184,6 +184,11 @@ def check_band(name: str, band: object) -> Limits:
         highest = math.inf if bounds[1] is None else check_number(name, bounds[1])
         if lowest <= highest and lowest < math.inf:
             return lowest, highest
+        if bounds[0] is not None and 0 <= highest < lowest < math.inf:
+            raise ValueError(
+                f"{name}: got {band!r}, whose lowest number {lowest:g} is above its highest "
+                f"{highest:g}; expected (lowest, highest), where None leaves a side open"
+            )
     raise ValueError(
         f"{name}: got {band!r}, expected (lowest, highest), where None leaves a side open"
     )

@@ -550,7 +550,8 @@ def _check_same_dataset(root: Path, planned: Manifest, existing: Manifest) -> No
         existing_text = ", ".join(f"{name} {existing_facts[name]}" for name in differing)
         planned_text = ", ".join(f"{name} {planned_facts[name]}" for name in differing)
         raise ValueError(
-            f"root: {root} is of a dataset with {existing_text}, asked for {planned_text}"
+            f"root: {root} is of a dataset with {existing_text}, asked for {planned_text}: choose "
+            "another folder, or ask for the same to continue it"
         )
     unknown = unknown_family(existing.generator)
     if unknown is not None:

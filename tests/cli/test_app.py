@@ -29,7 +29,7 @@ from mapdata import MapDataset, MapSpec, Maze, Movement, build, read_shard
 from mapdata.cli import app as cli
 from mapdata.generators import PRESETS, Cave, Terrain
 from mapdata.generators.generator import _presets
-from mapdata.shards import MANIFEST, read_manifest
+from mapdata.shards import MANIFEST, cluster, read_manifest
 
 HOME = Path(__file__).parents[2]
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -229,6 +229,63 @@ def test_info_prints_what_the_problems_are_worth(run: Command, dataset: Path) ->
     run.refused(2, "need --problems", "info", dataset, "--connectivity", 8)
     run.refused(2, "--recipe", "info", dataset, "--recipe", "--problems")
     run.refused(2, "problems: got 'routes'", "info", dataset, "--problems", "routes")
+
+
+def test_build_takes_a_movement(run: Command, tmp_path: Path) -> None:
+    """That of the stored paths, which the recipe has, too."""
+    flags = ["--connectivity", 8, "--corner-cutting", "--diagonal-cost", 1]
+    assert run("build", tmp_path / "maps", "--preset", "maze", "--maps", 2, *flags).code == 0
+    manifest = read_manifest(tmp_path / "maps")
+    assert manifest.movement == Movement(8, corner_cutting=True, diagonal_cost=1)
+    assert manifest.generator == replace(PRESETS["maze"], movement=manifest.movement)
+
+
+def test_a_part_says_that_the_dataset_is_not_finished(run: Command, tmp_path: Path) -> None:
+    """Its content hash is not the one of the recipe, and another one after each part."""
+    arguments = ["build", tmp_path / "maps", "--maps", 5, "--shard-size", 1]
+    first = run(*arguments, "--part", "0/2").out
+    assert "part 1 of 2: 3 shards of 5\n" in first
+    assert re.search(
+        r"content hash: +of the finished dataset only; these 3 maps: [0-9a-f]{64}", first
+    )
+    second = run(*arguments, "--part", "1/2").out
+    assert "part 2 of 2: 2 shards of 5\n" in second
+    content_hash = read_manifest(tmp_path / "maps").content_hash
+    assert re.search(f"content hash: +{content_hash}\n", second)
+    assert "part " not in run(*arguments).out
+
+
+def test_show_understands_a_number_of_a_map(run: Command, dataset: Path) -> None:
+    """As the last argument, where it is no folder."""
+    run.refused(2, "7: no dataset; did you mean --index 7\\?", "show", dataset, 7)
+
+
+def test_a_dead_scheduler_is_named_before_it_is_sought(
+    run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Dask is silent for most of a minute before it fails."""
+
+    def gives_up(scheduler: str) -> None:
+        raise OSError(f"{scheduler}: nobody answers")
+
+    monkeypatch.setattr(cluster, "dask_executor", gives_up)
+    outcome = run("build", tmp_path / "maps", "--scheduler", "tcp://127.0.0.1:1")
+    assert outcome.err.splitlines() == [
+        "connecting to tcp://127.0.0.1:1 ...",
+        "mapdata: tcp://127.0.0.1:1: nobody answers",
+    ]
+
+
+def test_conditions_that_no_map_meets_are_printed_as_they_are_given(
+    run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not as an object of Python."""
+    monkeypatch.setattr("mapdata.datasets.dataset.MAX_FAILED_DRAWS", 1000)
+    arguments = ["--format", "arrays", "--split", "val", "--count", 1, "--length", "4000:"]
+    outcome = run("export", "maze15", tmp_path / "out", *arguments)
+    assert outcome.code == 2
+    message = 'problems: got {"random": {"length": [4000.0, null]}}: none on one map after another'
+    assert message in outcome.err.splitlines()[-1]
 
 
 def test_info_says_that_a_dataset_is_not_finished(run: Command, copied: Path) -> None:
@@ -642,7 +699,10 @@ def test_a_recipe_of_an_unfinished_dataset_is_true(
         ("preset: got 'papers', expected one of paper, narrow", ["--preset", "papers"]),
         ("shard_size: got 0", ["--shard-size", "0"]),
         ("workers: got 0", ["--workers", "0"]),
-        ("recipe: got 'none.json', expected a preset", ["--recipe", "none.json"]),
+        ("recipe: none.json: no such file, expected a recipe", ["--recipe", "none.json"]),
+        ("recipe: none/rooms: no such file", ["--recipe", "none/rooms"]),
+        ("--connectivity: not allowed with", ["--connectivity", "8", "--recipe", "paper"]),
+        ("--corner-cutting and --diagonal-cost: need --connectivity 8", ["--corner-cutting"]),
         ("recipe: not JSON", ["--recipe", "{"]),
         (
             '(char 1)); expected JSON such as {"spec": "dungeon", "seed": 7',
@@ -770,7 +830,7 @@ def test_a_root_with_another_dataset_is_refused(
     """
     before = stamps(dataset)
     another_recipe = spec_file(tmp_path, skip_probability=0.2)
-    only = "with skip_probability 0.3, asked for skip_probability 0.2$"
+    only = "with skip_probability 0.3, asked for skip_probability 0.2: choose another folder, or"
     run.refused(
         2, only, "build", dataset, "--recipe", another_recipe, "--maps", MAPS, "--shard-size", SIZE
     )

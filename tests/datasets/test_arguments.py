@@ -46,7 +46,7 @@ def test_every_constructor_shows_the_options_with_their_defaults_and_types(
             default = problem_source(default)
         else:
             assert parameter.kind is Parameter.KEYWORD_ONLY or option.name == "fields"
-            # The data module takes a movement as plain values, too.
+            # Constructors take a movement as plain values, too.
             hint = hints[option.name]
             assert hint == declared[option.name] or option.name == "movement", option.name
         assert default == option.default, option.name
@@ -60,6 +60,27 @@ def test_every_option_arrives(constructor: Any, tmp_path: Any) -> None:
         samples.build_small(tmp_path, maps=4)
     assert vars(constructor(source, **OPTIONS).serving) == OPTIONS
     assert list(OPTIONS) == [option.name for option in fields(Serving)]
+
+
+@pytest.mark.parametrize("constructor", CONSTRUCTORS)
+@pytest.mark.parametrize("movement", [{"connectivity": 8}, (8, False, 2**0.5), [8]], ids=str)
+def test_a_movement_may_be_plain_values(constructor: Any, movement: Any, tmp_path: Any) -> None:
+    """As configurations and checkpoints have it; others are refused by name."""
+    source = samples.SPEC if constructor is OnlineMapDataset else str(tmp_path)
+    if constructor is MapDataset:
+        samples.build_small(tmp_path, maps=4)
+    dataset = constructor(source, movement=movement)
+    assert dataset.serving.movement == Movement(8)
+    assert constructor is MapDataModule or dataset.movement == Movement(8)
+    for wrong, message in (
+        ({"connectivty": 8}, "movement: unknown key: connectivty.*did you mean connectivity"),
+        ({"connectivity": 6}, "connectivity: got 6, expected 4 or 8"),
+        ("8", "movement: got '8', expected a Movement, or a mapping such as"),
+        ((), r"movement: got \(\), expected a Movement"),
+        ((8, False, 1, 0), r"movement: got \(8, False, 1, 0\), expected a Movement"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            constructor(source, movement=wrong)
 
 
 def test_options_are_passed_by_name_alone() -> None:

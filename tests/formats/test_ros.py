@@ -260,7 +260,7 @@ def test_a_yaw_of_nan_is_refused_where_it_is_used(yaw: str, tmp_path: Path) -> N
     assert len(read_any(path, unknown="free").maps) == 1
     ros_map = read_map(path)
     with pytest.raises(ValueError, match="origin"):
-        ros_map.to_metres(0, 0)
+        ros_map.to_metres(cells=(0, 0))
     with pytest.raises(ValueError, match="origin"):
         ros_map.to_cells([1.01, 2.01])
 

@@ -427,12 +427,17 @@ def test_a_flipped_byte_is_refused_or_harmless(tmp_path: Path) -> None:
     assert refused > len(sound) / 2
 
 
-def test_the_movement_of_a_set_has_no_default(tmp_path: Path) -> None:
-    """Generators move 4-connected by default, so no default here could be expected by everyone."""
-    with pytest.raises(TypeError, match="'movement'"):
-        ProblemSet.sample(DUNGEON, 0, 3)  # type: ignore[call-arg]
-    with pytest.raises(TypeError, match="'movement'"):
-        ProblemSet.read(tmp_path)  # type: ignore[call-arg]
+def test_the_movement_of_a_sample_is_that_of_its_maps(tmp_path: Path) -> None:
+    """Unless another one is named; a set of arrays has no default."""
+    generator = MapSpec(movement=Movement(8))
+    own, named = (ProblemSet.sample(generator, 3, 5, movement=m) for m in (None, Movement(8)))
+    assert own.movement == named.movement == Movement(8)
+    assert own.content_hash == named.content_hash
+    build(tmp_path / "maps", generator, maps=60)
+    assert ProblemSet.read(tmp_path / "maps").movement == Movement(8)
+    assert ProblemSet.read(tmp_path / "maps", movement=Movement(4)).movement == Movement(4)
+    with pytest.raises(TypeError, match="movement"):
+        ProblemSet(own.grids, own.starts, own.goals)  # type: ignore[call-arg]
 
 
 def test_problems_of_no_source_are_refused() -> None:

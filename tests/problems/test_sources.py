@@ -62,6 +62,13 @@ def test_bands_are_brought_to_floats() -> None:
     assert hash(source) == hash(Random((10.0, None), None, (2.0, 5.0)))
 
 
+def test_a_reversed_band_says_so() -> None:
+    """With both of its numbers, as they were given."""
+    message = r"distance: got \(20, 10\), whose lowest number 20 is above its highest 10; expected"
+    with pytest.raises(ValueError, match=message):
+        Random(distance=(20, 10))
+
+
 @pytest.mark.parametrize(
     "band",
     [
@@ -80,7 +87,7 @@ def test_bands_are_brought_to_floats() -> None:
 @pytest.mark.parametrize("name", ["distance", "hardness", "length"])
 def test_bad_bands_are_refused_by_name(name: str, band: Any) -> None:
     """Not two numbers, or not in order."""
-    with pytest.raises(ValueError, match=rf"{name}: got .*, expected \(lowest, highest\)"):
+    with pytest.raises(ValueError, match=rf"{name}: got .*[,;] expected \(lowest, highest\)"):
         Random(**{name: band})
 
 
