@@ -214,7 +214,8 @@ class CostPredictor(Model):
         is_free = batch.map == 0  # (B, 1, H, W)
         truth = batch.terrain.float().clamp(min=1).log()[:, 0]  # (B, H, W)
         error = centred(self.log_costs(batch.image), batch.map) - centred(truth, batch.map)
-        return (error**2)[is_free[:, 0]].sum() / is_free.sum().clamp(min=1)
+        loss: Tensor = (error**2)[is_free[:, 0]].sum() / is_free.sum().clamp(min=1)
+        return loss
 
     def expansions_loss(self, batch: Sample) -> Tensor:
         """Return the loss of Neural A*: cells that differ between the expanded ones and a path.
