@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Protocol
 
 import numpy as np
@@ -151,9 +151,7 @@ def _measured_batch(dataset: Problems, indices: Ints, epoch: int) -> _Measured:
     optimal_moves = batch.goal_fields.optimal_moves
     optimal_mask = batch.goal_fields.optimal_mask
     # Shortest paths are those of least cost, which BFS does not find on terrain and under 8 moves.
-    by_cost = batch
-    if batch.search == "bfs":
-        by_cost = replace(batch, search="astar", compute_paths=None)
+    by_cost = batch.with_astar
     own_maps = dataset._own_maps(batch.problems)
     map_indices = batch.compute_map_indices()
     maps = batch.stored_grids if batch.stored_terrain is None else batch.stored_terrain

@@ -170,7 +170,7 @@ def test_a_start_at_its_goal_has_one_path_of_one_cell(tmp_path: Path) -> None:
 
     def at_the_goal(indices: Any, epoch: int) -> Any:
         batch = load(indices, epoch)
-        batch.starts, batch.compute_paths = batch.goals, None
+        batch.starts, batch.compute_paths = batch.goals, lambda _: None
         return batch
 
     dataset._problems = at_the_goal  # type: ignore[method-assign]
