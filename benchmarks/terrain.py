@@ -168,7 +168,6 @@ class StoredMaps:
 
     stored_terrain: Bytes
     stored_grids: Bytes
-    map_numbers: npt.NDArray[np.int64]
     symmetries: npt.NDArray[np.int64]
 
 
@@ -189,8 +188,8 @@ def picture_rows(rounds: int) -> list[Row]:
     """Return the rows of pictures: tiles of 8 x 8 pixels with and without noise."""
     source = np.random.default_rng(0)
     terrain = source.integers(1, 6, (8, SIDE, SIDE), np.uint8)
-    numbers = np.arange(len(terrain))
-    maps = StoredMaps(terrain, (terrain == 0).astype(np.uint8), numbers, np.zeros_like(numbers))
+    no_symmetries = np.zeros(len(terrain), np.int64)
+    maps = StoredMaps(terrain, (terrain == 0).astype(np.uint8), no_symmetries)
     textures = source.integers(0, 256, (6, 1024, 3, 8, 8), np.uint8)
     rows = []
     for noise, target in ((0, ""), (10, "0.5 us")):

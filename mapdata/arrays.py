@@ -45,11 +45,11 @@ def summary(self: Any) -> str:
     >>> Problem(np.zeros((1, 64, 64), np.uint8), np.array([3, 5]))
     Problem(map=uint8 (1, 64, 64), goal=[3, 5])
     """
-    fields = [f"{name}={_brief_text(getattr(self, name))}" for name in self.__match_args__]
+    fields = [f"{name}={brief_text(getattr(self, name))}" for name in self.__match_args__]
     return f"{type(self).__name__}({', '.join(fields)})"
 
 
-def _brief_text(field: Any) -> str:
+def brief_text(field: Any) -> str:
     """Return dtype and shape of an array or tensor, or its numbers if there are one or two."""
     if not hasattr(field, "dtype"):
         return repr(field)

@@ -11,6 +11,7 @@ https://docs.python.org/3/library/zipfile.html.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import os
 import re
@@ -172,6 +173,18 @@ class StoredArray:
                 return
             for _ in range(prod(outer_shape)):
                 yield self._numbers(file, prod(shape)).reshape(shape)
+
+    def sha256(self) -> str:
+        """Return the SHA-256 of the numbers as they are stored, as 64 hexadecimal digits.
+
+        Raises:
+            FormatError: the array is damaged, or cannot be read.
+        """
+        digest = hashlib.sha256()
+        with refusing(f"{self.label}: damaged"), self._opened() as file:
+            while piece := file.read(_MAX_READ):
+                digest.update(piece)
+        return digest.hexdigest()
 
     def check(self) -> None:
         """Read the whole array and keep nothing, to detect damage before any entry is used.

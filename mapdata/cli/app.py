@@ -14,6 +14,7 @@ from contextlib import nullcontext
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Literal
+from zipfile import is_zipfile
 
 from mapdata._version import __version__
 from mapdata.cli import convert, export
@@ -215,33 +216,40 @@ def info_command(
 
 
 def verify_command(root: list[str], *, repair: bool = False, follow_links: bool = False) -> None:
-    """Check every file of a dataset; exit with code 1 if a file is damaged.
+    """Check all files of a dataset, a problem set or an export; exit with code 1 if one is damaged.
 
     Examples:
       mapdata verify data/maps
       mapdata verify data/maps --repair
+      mapdata verify dungeon.npz data/hub
 
     Args:
-        root: folder or URL of a dataset; maps of several datasets are numbered one after another
-        repair: build damaged and missing shards again from the recipe
+        root: folder or URL of a dataset, a file that ProblemSet.save wrote, or the folder of an
+            export of training problems; or several of them
+        repair: build damaged and missing shards of datasets again from the recipe
         follow_links: read files that are links out of their folder; only for folders of your own
     """
     from mapdata.shards.corruption import inspect, repair_faults
     from mapdata.shards.errors import LINK_REMEDY
     from mapdata.shards.locations import locations, target_folder
 
-    datasets = locations(root)
+    sources = locations(root)
     if repair and follow_links:
         raise ValueError(
             "--repair: not allowed with --follow-links; copy the dataset without links ('cp -rL'), "
             "and repair the copy"
         )
+    kinds = {source: _kind_of(source) for source in sources}
     if repair:
-        for dataset in datasets:
-            target_folder(dataset)  # refuses a URL before any dataset is repaired
-    fault_count = 0
+        for source, kind in kinds.items():
+            if kind != "dataset":
+                raise ValueError(f"--repair: {source} is {_KINDS[kind]}, and has no recipe")
+            target_folder(source)  # refuses a URL before any dataset is repaired
+    datasets = [source for source in sources if kinds[source] == "dataset"]
+    other_fault_count = sum(_verify_other(source, kinds[source]) for source in sources)
+    fault_count = other_fault_count
+    unrepaired_count = other_fault_count
     link_count = 0
-    unrepaired_count = 0
     requirement = ""
     for dataset in datasets:
         findings = inspect(dataset, follow_links=follow_links, progress=True)
@@ -268,11 +276,53 @@ def verify_command(root: list[str], *, repair: bool = False, follow_links: bool 
         raise DisagreeError(f"{unrepaired_count} of {fault_count} not repaired")
     if 0 < unrepaired_count == link_count:
         raise DisagreeError("files that are links out of their folder were not read")
-    if unrepaired_count:
+    if fault_count > other_fault_count:
         raise DisagreeError(
             f"{fault_count} faults found; --repair builds shards again if there is a recipe"
             f"{requirement}"
         )
+    if other_fault_count:
+        plural = "s" if other_fault_count > 1 else ""
+        raise DisagreeError(f"{other_fault_count} fault{plural} found")
+
+
+_KINDS = {"dataset": "a dataset", "problem set": "a problem set", "export": "an export"}
+"""What `mapdata verify` checks, with the article."""
+
+
+def _kind_of(source: str) -> str:
+    """Return which of `_KINDS` is at a location, as far as names tell."""
+    from mapdata.shards.locations import is_url
+    from mapdata.shards.manifest import MANIFEST
+
+    path = Path(source)
+    if is_url(source) or not path.exists():
+        return "dataset"
+    if path.is_dir():
+        is_export = (path / "export.json").is_file() and not (path / MANIFEST).exists()
+        return "export" if is_export else "dataset"
+    if path.is_file() and (path.suffix.lower() == ".npz" or is_zipfile(path)):
+        return "problem set"
+    return "dataset"  # another file, which is refused by its name
+
+
+def _verify_other(source: str, kind: str) -> int:
+    """Check a problem set or an export, print what is wrong with it, and return how many faults."""
+    if kind == "dataset":
+        return 0
+    if kind == "problem set":
+        from mapdata.problems import ProblemSet
+
+        faults = ProblemSet.verify(source)
+    else:
+        from mapdata.export import verify_export
+
+        faults = verify_export(source)
+    for fault in faults:
+        print(fault)
+    if not faults:
+        print(f"{source}: no faults found")
+    return len(faults)
 
 
 def show_command(

@@ -178,7 +178,7 @@ class Batch:
 
     @property
     def map_numbers(self) -> Ints:
-        """(B,) int64, number of each stored map in its dataset; of a `ProblemSet`, of its grid."""
+        """(B,) int64, number of each stored map in its dataset or problem set."""
         return self.stored_maps.numbers
 
     @property
@@ -426,7 +426,8 @@ def problem(batch: Batch) -> Ints:
 
     Each split counts from 0; a dataset of all splits counts all of their problems. Problems are
     counted that have a path under the stored movement. All problems are counted with
-    ``unsolvable=True``, and where the served movement cuts corners and the stored one does not.
+    ``unsolvable=True``, and where the served movement cuts corners and the stored one does not. A
+    subset of a `ProblemSet` keeps the numbers of its set.
     """
     return batch.problems
 
@@ -435,8 +436,8 @@ def map_index(batch: Batch) -> Ints:
     """``map_index``: (B,) int64, the number of the served map in the dataset, in all splits.
 
     It is the number that `mapdata.read_shard` and `mapdata.generate` give the map. The maps of
-    several roots are numbered one root after another. Of a `ProblemSet` it is the number of the
-    map's grid; 0 where all problems share a grid.
+    several roots are numbered one root after another. Of a `ProblemSet` equal maps have the same
+    number, and a subset keeps the numbers of its set.
     """
     return batch.compute_map_indices()
 
@@ -542,8 +543,9 @@ def waypoints(batch: Batch) -> Float32s:
 def image(batch: Batch) -> Bytes:
     """``image``: (B, 3, k * H, k * W) uint8, a picture of the map, red, green and blue.
 
-    Each cell is a tile of k x k pixels, drawn by its cost. k is 8, or that of a `Tiles`. The
-    picture is turned and reflected with the map, but it is not inflated by a radius.
+    Each cell is a tile of k x k pixels, drawn by its cost. k is 8, or that of a `Tiles`. The same
+    map has the same picture in every dataset. The picture is turned and reflected with the map, but
+    it is not inflated by a radius.
     """
     return Tiles()(batch)
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from mapdata.arrays import Ints, offsets_of
+from mapdata.arrays import Ints
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving, Transform
 from mapdata.datasets.dataset import ProblemDataset
 from mapdata.datasets.fields import (
@@ -20,7 +20,7 @@ from mapdata.datasets.fields import (
 )
 from mapdata.datasets.info import DatasetInfo, field_infos
 from mapdata.describe.dataset_card import movement_text
-from mapdata.problems.problem_set import ProblemSet
+from mapdata.problems.problem_set import ProblemSet, selected_paths
 
 
 class ProblemSetDataset(ProblemDataset):
@@ -33,9 +33,10 @@ class ProblemSetDataset(ProblemDataset):
     The fields are those of `MapDataset`. Its rooms are the start and the goal alone:
     ``seed_points`` has these two cells, in this order, and ``connection_matrix`` the costs between
     them. The movement is that of the set. All epochs serve the same problems; ``augment`` draws
-    their symmetries anew in each.
+    their symmetries anew in each. A subset of the set serves its problems unchanged: with the same
+    ``problem`` and ``map_index``, image and symmetries.
 
-    A grid that all problems of the set share is in memory once, in each loader worker, too.
+    A map that problems of the set share is in memory once, in each loader worker, too.
 
     Args:
         problem_set: the problems.
@@ -84,9 +85,8 @@ class ProblemSetDataset(ProblemDataset):
         super().__init__(None, serving)
         self.problem_set = problem_set
         self.movement = problem_set.movement
-        _, rows, columns = problem_set.grids.shape
-        self.map_size = (rows, columns)
-        self.has_terrain = problem_set.terrain is not None
+        self.map_size = problem_set.map_size
+        self.has_terrain = problem_set.has_terrain
         self._check_fields_on_terrain()
 
     def _open(self) -> None:
@@ -149,7 +149,7 @@ class ProblemSetDataset(ProblemDataset):
             grids=grids,
             starts=starts,
             goals=goals,
-            problems=indices,
+            problems=self.problem_set.problem_numbers[indices],
             compute_map_indices=stored_maps.numbers.copy,
             compute_rooms=compute_rooms,
             compute_stored_maps=lambda: stored_maps,
@@ -163,26 +163,11 @@ class ProblemSetDataset(ProblemDataset):
         )
 
     def _stored_maps(self, indices: Ints) -> StoredMaps:
-        """Return copies of the maps of problems ``indices``, for one batch alone.
-
-        The number of a map is its index among the grids: 0 for a map that all problems share.
-        """
-        grids = self.problem_set.grids
-        terrain = self.problem_set.terrain
-        maps = grids if terrain is None else terrain
-        is_shared = maps.strides[0] == 0
-        return StoredMaps(
-            np.zeros_like(indices) if is_shared else indices,
-            grids[indices],
-            None if terrain is None else terrain[indices],
-        )
+        """Return copies of the maps of problems ``indices``, for one batch alone."""
+        grids, terrain = self.problem_set.maps_of(indices)
+        return StoredMaps(self.problem_set.map_indices[indices], grids, terrain)
 
     def _optimal_paths(self, indices: Ints) -> Paths:
         """Return the paths of problems ``indices`` that A* has found for the whole set."""
-        optimal = self.problem_set.optimal
-        lengths = np.diff(optimal.offsets)[indices]
-        offsets = offsets_of(lengths)
-        # Path b moves from offsets[b] of the batch to optimal.offsets[indices[b]] of the set.
-        shifts = optimal.offsets[indices] - offsets[:-1]
-        positions = np.arange(offsets[-1]) + np.repeat(shifts, lengths)
-        return Paths(optimal.cells[positions], offsets, optimal.iterations[indices])
+        optimal = selected_paths(self.problem_set.optimal, indices)
+        return Paths(optimal.cells, optimal.offsets, optimal.iterations)

@@ -12,13 +12,16 @@ colour. So with ``alike``, where the ground colours of all costs are the same, n
 colour of a texture nor its brightnesses tell anything of its cost.
 
 **A picture** is drawn from the stored map, by copying a texture for each cell from a bank, and
-adding noise from another bank. All numbers are integers and come from `mapdata.rng`, so that a
-picture is the same on every machine.
+adding noise from another bank. Which textures and which noise, a hash of the map decides, so that a
+map has the same picture wherever it is served. All numbers are integers and come from
+`mapdata.rng`, so that a picture is the same on every machine.
 """
 
 from __future__ import annotations
 
+import hashlib
 import math
+import struct
 from dataclasses import dataclass
 from functools import lru_cache
 from threading import Lock
@@ -43,6 +46,8 @@ TEXTURES = 1024
 
 _TILE, _NOISE_RUN, _TEXTURE, _TINT, _NOISE = range(5)
 """The epochs of random words: each purpose has words of its own."""
+
+Keys = npt.NDArray[np.uint64]
 
 _BLOBS, _SPECKLES, _COARSE_CHECKS, _COARSE_STRIPES, _FINE_CHECKS, _FINE_STRIPES = range(6)
 _COARSE_DIAGONALS, _FINE_DIAGONALS, _COARSE_DIAMONDS, _OBLIQUES, _FINE_DIAMONDS = range(6, 11)
@@ -373,7 +378,7 @@ def _noise_bank(noise: int, seed: int) -> npt.NDArray[np.int16]:
 @kernel
 def _copy_tiles(
     terrain: Bytes,
-    map_numbers: Ints,
+    keys: Keys,
     seed: np.uint64,
     textures: Bytes,
     slots: Ints,
@@ -384,7 +389,7 @@ def _copy_tiles(
 
     Args:
         terrain: (B, H, W).
-        map_numbers: (B,).
+        keys: (B,), as `map_keys` returns them.
         seed: key of the random words.
         textures: of the bank.
         slots: of the bank.
@@ -399,7 +404,7 @@ def _copy_tiles(
     # For each column of pixels, where the bank has it in the first row and channel of its texture.
     sources = np.empty(width, np.uint64)
     for b in range(maps):
-        index = np.uint64(map_numbers[b])
+        index = keys[b]
         for row in range(rows):
             # Choose a texture for each cell of the row.
             for column in range(columns):
@@ -438,14 +443,28 @@ def _add_noise(
         line[x] = min(max(level, np.int16(0)), np.int16(255))
 
 
+def map_keys(terrain: Bytes) -> Keys:
+    """Return the key of the picture of each map, (B,) uint64.
+
+    It is the first 8 bytes, little-endian, of the SHA-256 of the numbers of rows and columns, each
+    as 4 bytes little-endian, and of the costs of all cells, a byte each, row by row.
+
+    Args:
+        terrain: (B, H, W) uint8, 0 occupied, otherwise the cost of a cell.
+    """
+    size = struct.pack("<2I", *terrain.shape[1:])
+    digests = [hashlib.sha256(size + cell_costs.tobytes()).digest()[:8] for cell_costs in terrain]
+    return np.frombuffer(b"".join(digests), "<u8").astype(np.uint64)
+
+
 def draw_tiles(
-    terrain: Bytes, map_numbers: Ints, pixels: int, alike: bool, noise: int, seed: int
+    terrain: Bytes, keys: Keys, pixels: int, alike: bool, noise: int, seed: int
 ) -> Bytes:
     """Return pictures of maps, (B, 3, pixels * H, pixels * W) uint8.
 
     Args:
         terrain: (B, H, W) uint8, 0 occupied, otherwise the cost of a cell.
-        map_numbers: (B,) numbers of the maps, which choose the textures.
+        keys: (B,) uint64, which choose the textures and the noise: those of `map_keys`.
         pixels: rows and columns of a tile.
         alike: whether all costs have the same mean colours.
         noise: standard deviation of the noise of a pixel.
@@ -455,7 +474,7 @@ def draw_tiles(
     pictures = np.empty((maps, 3, rows * pixels, columns * pixels), np.uint8)
     textures, slots = _bank(pixels, alike, seed).with_costs(terrain)
     noise_bank = _noise_bank(noise, seed) if noise else np.empty(0, np.int16)
-    _copy_tiles(terrain, map_numbers, np.uint64(seed), textures, slots, noise_bank, pictures)
+    _copy_tiles(terrain, keys, np.uint64(seed), textures, slots, noise_bank, pictures)
     return pictures
 
 
@@ -471,10 +490,6 @@ class PicturedBatch(Protocol):
         """(B, H, W) uint8."""
 
     @property
-    def map_numbers(self) -> Ints:
-        """(B,) int64."""
-
-    @property
     def symmetries(self) -> Ints:
         """(B,) int64."""
 
@@ -487,10 +502,12 @@ class Tiles:
 
     Each cell is drawn as a tile by its cost: 0 for an occupied cell, the cost of terrain, or 1 for
     a free cell of a map without terrain. A cost looks alike in all maps and datasets, but never the
-    same: its texture is chosen at random from `TEXTURES`, by the number of the map and the cell.
+    same: its texture is chosen at random from `TEXTURES`, by a hash of the map and by the cell.
 
-    The picture belongs to the stored map. ``augment`` turns and reflects the picture with the map,
-    and a ``radius`` does not change it.
+    The picture belongs to the stored map, and depends on its size and costs alone: the same map has
+    the same picture in every dataset, problem set and export. ``augment`` turns and reflects the
+    picture with the map, and a ``radius`` does not change it. A map that is stored turned or
+    reflected is another map, with a picture of its own.
 
     Attributes:
         pixels: k, rows and columns of a tile, 4 to 32.
@@ -533,9 +550,8 @@ class Tiles:
         terrain = batch.stored_terrain
         if terrain is None:
             terrain = batch.stored_grids ^ np.uint8(1)  # A free cell costs 1.
-        pictures = draw_tiles(
-            terrain, batch.map_numbers, self.pixels, self.alike, self.noise, self.seed
-        )
+        keys = map_keys(terrain)
+        pictures = draw_tiles(terrain, keys, self.pixels, self.alike, self.noise, self.seed)
         return after_symmetries(pictures, batch.symmetries)
 
 

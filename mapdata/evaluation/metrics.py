@@ -307,7 +307,7 @@ def _table(
     ``reference_expansions``, (N,), are E*.
     """
     outcomes = np.stack([_outcomes(run, problems, reference_expansions) for run in runs], axis=1)
-    metric_names = METRICS if problems.terrain is None else TERRAIN_METRICS
+    metric_names = TERRAIN_METRICS if problems.has_terrain else METRICS
     rows = []
     for subset, mask in (("all", np.ones(len(problems), bool)), ("hard", problems.hard)):
         intervals = confidence_intervals(outcomes[mask], _metrics, bootstrap, seed)
@@ -340,14 +340,11 @@ def _takes_terrain(planner: Planner) -> bool:
     return "terrain" in inspect.signature(method).parameters
 
 
-def _terrain_argument(planner: Planner, problems: ProblemSet, rows: int | slice) -> dict[str, Any]:
-    """Return the terrain of some problems as an argument by name; none if it is not to be passed.
-
-    The terrain is a copy, since a planner may write to it.
-    """
-    if problems.terrain is None or not _takes_terrain(planner):
+def _terrain_argument(planner: Planner, terrain: Bytes | None) -> dict[str, Any]:
+    """Return terrain as an argument by name; none if there is none or it is not to be passed."""
+    if terrain is None or not _takes_terrain(planner):
         return {}
-    return {"terrain": problems.terrain[rows].copy()}
+    return {"terrain": terrain}
 
 
 def _run(planner: Planner, problems: ProblemSet, advance: Advance) -> _Run:
@@ -365,10 +362,10 @@ def _run(planner: Planner, problems: ProblemSet, advance: Advance) -> _Run:
     for repetition, k in enumerate((0, *range(len(problems)))):
         start = tuple(problems.starts[k].tolist())
         goal = tuple(problems.goals[k].tolist())
-        grid = problems.grids[k].copy()  # a planner may write to it
-        terrain = _terrain_argument(planner, problems, k)
+        grid, terrain = _map_of(problems, k)  # copies, since a planner may write to them
+        arguments = _terrain_argument(planner, terrain)
         began = time.process_time()
-        plan = planner.plan(grid, start, goal, **terrain)
+        plan = planner.plan(grid, start, goal, **arguments)
         ms[k] = 1000 * (time.process_time() - began)
         costs[k] = _cost(plan.path, problems, k)
         expansions[k] = plan.expansions
@@ -412,12 +409,12 @@ def _batched_ms(planner: BatchPlanner, problems: ProblemSet, advance: Advance) -
     # The first batch is solved twice, and the second time counts, as in `_run`.
     for repetition, first in enumerate((0, *range(0, len(problems), _BATCH))):
         batch = slice(first, first + _BATCH)
-        grids = problems.grids[batch].copy()
+        grids, terrain = problems.maps_of(batch)
         starts = problems.starts[batch].copy()
         goals = problems.goals[batch].copy()
-        terrain = _terrain_argument(planner, problems, batch)
+        arguments = _terrain_argument(planner, terrain)
         began = time.process_time()
-        plans = planner.plan_batch(grids, starts, goals, **terrain)
+        plans = planner.plan_batch(grids, starts, goals, **arguments)
         ms.append(1000 * (time.process_time() - began) / len(starts))
         if len(plans) != len(starts):
             raise ValueError(
@@ -428,12 +425,18 @@ def _batched_ms(planner: BatchPlanner, problems: ProblemSet, advance: Advance) -
     return np.array(ms[1:])
 
 
+def _map_of(problems: ProblemSet, k: int) -> tuple[Bytes, Bytes | None]:
+    """Return copies of the grid and the terrain of problem ``k``, each (H, W)."""
+    grids, terrains = problems.maps_of([k])
+    return grids[0], None if terrains is None else terrains[0]
+
+
 def _cost(path: npt.ArrayLike, problems: ProblemSet, k: int) -> float:
     """Return the cost of ``path``, NaN if it does not solve problem ``k``."""
-    terrain = None if problems.terrain is None else problems.terrain[k]
+    grid, terrain = _map_of(problems, k)
     try:
         cells = np.asarray(path)
-        cost = check_path(problems.grids[k], cells, problems.movement, terrain=terrain)
+        cost = check_path(grid, cells, problems.movement, terrain=terrain)
     except ValueError:
         return np.nan
     joins_start_and_goal = np.array_equal(cells[0], problems.starts[k]) and np.array_equal(

@@ -19,20 +19,24 @@ from mapdata.checks import check_choice, check_count, check_flag, did_you_mean
 from mapdata.datasets.dataset import MapDataset, ProblemDataset
 from mapdata.datasets.fields import FIELDS
 from mapdata.datasets.online import OnlineMapDataset
+from mapdata.datasets.problem_set_dataset import ProblemSetDataset
 from mapdata.datasets.problem_statistics import measure
 from mapdata.describe.problem_statistics import ProblemStatistics
 from mapdata.describe.statistics import count_repeats, hash_grids
+from mapdata.export.about import CARD, write_about
 from mapdata.export.card import problem_card
 from mapdata.export.layouts import LAYOUTS, Columns, Layout
 from mapdata.export.maze_text import MazeTextWriter
 from mapdata.export.parquet import ParquetWriter
 from mapdata.export.writers import ArrayWriter, LayoutWriter, Writer
+from mapdata.formats.registry import read_problems
 from mapdata.generators.generator import PRESETS, MapGenerator
 from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe
 from mapdata.generators.splits import maps_of_split
 from mapdata.hashing import json_hash
 from mapdata.limits import PROBLEM_FORMATS, SPLITS
 from mapdata.movement import Movement
+from mapdata.problems.problem_set import ProblemSet
 from mapdata.problems.sources import Random, Source, SourceLike, plain_text, problem_source
 from mapdata.shards.files import StrPath, new_output
 from mapdata.shards.locations import Locations, local_path
@@ -41,9 +45,6 @@ from mapdata.shards.workers import bar
 
 DEFAULT_FIELDS = ("map", "start", "goal", "path", "cost")
 """The fields that are written unless the caller names others."""
-
-ABOUT = "export.json"
-"""The file beside the data that says what they are and where they come from."""
 
 _BATCH_CELLS = 2**22
 """Cells of the maps of a batch. The fields of a batch take some 10 to 100 bytes a cell."""
@@ -67,7 +68,7 @@ _MAZE_TEXT_FIELDS = ("map", "start", "goal", "path")
 
 
 def export_problems(
-    source: Locations | RecipeLike,
+    source: Locations | RecipeLike | ProblemSet,
     target: StrPath,
     *,
     format: str = "arrays",  # noqa: A002  (the word of pandas, Pillow and the command line)
@@ -91,19 +92,23 @@ def export_problems(
     The problems are written in batches, so that memory stays small however many they are. The
     folder appears when it is complete. ``export.json`` in it names the recipe or the dataset, all
     options, the number of different maps, what 300 problems of each split are worth
-    (`mapdata.describe.ProblemStatistics`), and the SHA-256 of every file's content.
+    (`mapdata.describe.ProblemStatistics`), and the SHA-256 of every file's content, which
+    `verify_export` compares.
 
     Args:
         source: folder or URL of a built dataset, or several; or a preset's name, a recipe (file,
             JSON text, mapping or `Recipe`) or a generator: its maps are then made on the fly, and
-            nothing else is stored.
+            nothing else is stored. Or a `ProblemSet`, or a file of problems that
+            `mapdata.formats.read_problems` reads: its own problems are written, unchanged and in
+            their order, as one split.
         target: name of the folder; a new one, or an empty one.
         format: "arrays", one ``.npy`` for each split and field; "parquet", one row for each
             problem, which Hugging Face ``datasets`` opens; "maze-hard", one line of text for each;
             or the name of one of `LAYOUTS`, the files that another repository's loader reads.
         fields: as in `MapDataset`, names only; default map, start, goal, path and cost. Layouts
             have their own.
-        split: "train", "val" or "test"; None for all that the format has a place for.
+        split: "train", "val" or "test"; None for all that the format has a place for, and for
+            "test" of a `ProblemSet`.
         count: problems of each split. Default: all stored ones; of a recipe, one on each of its
             maps. More random problems than a built dataset has maps use the maps again, with new
             starts and goals. Of a recipe each problem is on another map, however many.
@@ -132,11 +137,15 @@ def export_problems(
     """
     _check_format_options(format, fields, licence, max_length)
     check_flag("augment", augment)
+    problem_set = _problem_set(source)
+    given = {"problems": problems, "seed": seed, "radius": radius or None}
+    if movement is None:
+        movement = _format_movement(format) if problem_set is None else problem_set.movement
     options = _Options(
         fields=_format_fields(format, fields),
         problems=_format_problems(format, problems, max_length),
         search=search,
-        movement=movement or _format_movement(format),
+        movement=movement,
         radius=radius,
         augment=augment,
         max_length=max_length,
@@ -148,6 +157,10 @@ def export_problems(
         )
     if max_length is not None and "path" not in options.fields:
         raise ValueError("max_length: expected 'path' among the fields")
+    if problem_set is not None:
+        _check_set_options(format, problem_set, options, split, given)
+        source = problem_set
+        split = split or "test"
     splits = _format_splits(format, split)
     parts, origin = _open(source, options, splits, split, count, seed, follow_links)
     dataset = parts[0].dataset
@@ -180,13 +193,16 @@ def export_problems(
             "files": files,
             "content_hash": json_hash(files),
         }
-        (folder / ABOUT).write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+        write_about(folder, about)
         if format == "parquet":
             card = problem_card(local_path(target).name, about, options.fields, statistics, licence)
-            (folder / "README.md").write_text(card, encoding="utf-8", newline="\n")
+            (folder / CARD).write_text(card, encoding="utf-8", newline="\n")
     default = f", the default of {format}" if problems is None else ""
+    which = plain_text(options.problems) + default
+    if problem_set is not None:
+        which = problem_set.description
     return [
-        f"problems: {plain_text(options.problems)}{default}",
+        f"problems: {which}",
         *_count_notes(parts),
         *_map_notes(parts, map_indices),
         *_target_notes(options.fields, statistics),
@@ -218,10 +234,14 @@ class _Options:
         }
 
     def plain(self, dataset: ProblemDataset) -> dict[str, Any]:
-        """Return the arguments as plain values for JSON, as a dataset has checked them."""
+        """Return the arguments as plain values for JSON, as a dataset has checked them.
+
+        The problems are None where they are those of a problem set.
+        """
+        is_set = isinstance(dataset, ProblemSetDataset)
         return {
             **vars(self),
-            "problems": plain_text(self.problems),
+            "problems": None if is_set else plain_text(self.problems),
             "movement": asdict(dataset.movement),
             "radius": dataset.serving.radius,
             "max_length": dataset.serving.max_length,
@@ -367,7 +387,16 @@ def _open(
             raise ValueError(
                 f"count: got {count}, expected at most {_MAX_COUNT} problems of a split"
             )
-    if _is_dataset(source):
+    if isinstance(source, ProblemSet):
+        (split_of_set,) = splits
+        parts = [_set_part(source, options, split_of_set, count)]
+        origin: dict[str, Any] = {
+            "problem_set": {
+                "content_hash": source.content_hash,
+                "description": source.description,
+            }
+        }
+    elif _is_dataset(source):
         if seed is not None:
             raise ValueError("seed: a built dataset has its own, expected none")
         parts = [_stored_part(source, options, name, count, follow_links) for name in splits]
@@ -400,6 +429,74 @@ def _stored_part(
             '"random" draws as many as wanted'
         )
     return _Part(split, dataset, count)
+
+
+def _set_part(problem_set: ProblemSet, options: _Options, split: str, count: int | None) -> _Part:
+    """Return the problems of a problem set, or the first ``count`` of them.
+
+    Raises:
+        ValueError: it has fewer.
+    """
+    serving = options.serving(split)
+    for name in ("problems", "movement", "radius"):  # those of the set
+        del serving[name]
+    dataset = ProblemSetDataset(problem_set, **serving)
+    if count is not None and count > len(dataset) and not dataset.serving.augment:
+        raise ValueError(f"count: got {count}, but the problem set has {len(dataset)} problems")
+    return _Part(split, dataset, len(dataset) if count is None else count)
+
+
+def _problem_set(source: Any) -> ProblemSet | None:
+    """Return the problem set that a source is, or that its file holds; None for other sources.
+
+    Raises:
+        ValueError: as `read_problems`.
+    """
+    if isinstance(source, ProblemSet):
+        return source
+    if isinstance(source, (str, os.PathLike)):
+        path = Path(source)
+        if path.suffix.lower() in (".npz", ".scen") and path.is_file():
+            return read_problems(path)
+    return None
+
+
+def _check_set_options(
+    format: str,  # noqa: A002
+    problem_set: ProblemSet,
+    options: _Options,
+    split: str | None,
+    given: Mapping[str, object],
+) -> None:
+    """Refuse what does not fit a problem set, whose maps and problems are given.
+
+    Args:
+        format: to write.
+        problem_set: the problems.
+        options: of the export.
+        split: to write them as; None for "test".
+        given: further arguments by name; they are None where the caller gave none.
+
+    Raises:
+        ValueError: the message names the argument.
+    """
+    for name, argument in given.items():
+        if argument is not None:
+            raise ValueError(f"{name}: a problem set has its own problems, expected none")
+    if options.movement != problem_set.movement:
+        raise ValueError(
+            f"movement: got {options.movement}, expected that of the problem set, "
+            f"{problem_set.movement}"
+        )
+    if options.augment and split != "train":
+        raise ValueError("augment: changes training problems only, expected split='train'")
+    if format in LAYOUTS and LAYOUTS[format].archive:
+        raise ValueError(
+            f"{format}: is one file of all splits, but a problem set is one split; expected "
+            "another format, or a dataset"
+        )
+    if len(problem_set) == 0:
+        raise ValueError("source: got a problem set without problems, expected at least one")
 
 
 def _online_part(recipe: Recipe, options: _Options, split: str, count: int | None) -> _Part:

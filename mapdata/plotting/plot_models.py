@@ -62,7 +62,9 @@ def plot_sample(sample: tuple[Any, ...], axes: Axes | None = None) -> Axes:
     elif "free" in fields:
         grid = 1 - fields["free"]
     is_batch = grid is not None and grid.ndim == 4
-    if grid is None or len(grid) == 0 or (is_batch and axes is not None):
+    if grid is not None and len(grid) == 0:
+        raise ValueError("sample: got a batch without problems, expected at least one")
+    if grid is None or (is_batch and axes is not None):
         raise ValueError(
             f"sample: got {sample}, expected one sample, or more without axes, with a map"
         )

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
+import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mapdata.arrays import Array, Bytes, Flags, Floats, Ints, summary
+from mapdata.arrays import Array, Bytes, Flags, Floats, Ints, brief_text, offsets_of
 from mapdata.checks import check_choice, check_count, check_seed
 from mapdata.generators.generator import identity
 from mapdata.generators.maps import Maps
@@ -23,15 +22,21 @@ from mapdata.generators.recipe import RecipeLike, as_recipe, generate
 from mapdata.hashing import canonical_json
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
-from mapdata.npy import MAX_BYTES, Npz
 from mapdata.problems.sampling import sample_problems, solve_pairs
+from mapdata.problems.set_file import StoredSet, different_maps, hash_fault, read_set, write_set
 from mapdata.problems.sources import Random, Route, Source, SourceLike, problem_source
 from mapdata.problems.terrain_sampling import sample_terrain_problems, solve_terrain_pairs
-from mapdata.search.api import BatchResult, check_cost, search_batch
+from mapdata.search.api import (
+    BatchResult,
+    as_grid,
+    as_terrain,
+    check_cost,
+    search_batch,
+)
 from mapdata.search.footprint import inflate_all, min_squared_clearance, without_occupied
 from mapdata.search.lattice import ASTAR, HARD, hardness, move_rule
 from mapdata.search.terrain import min_cell_costs
-from mapdata.shards.files import StrPath, write_output
+from mapdata.shards.files import StrPath
 from mapdata.shards.locations import Locations
 from mapdata.shards.root import Root
 
@@ -40,31 +45,29 @@ _DRAWS = (0, 1000)
 takes another map.
 """
 
+_PART_CELLS = 2**24
+"""Cells of the repeated maps of the problems that are solved at a time."""
+
 _CHUNK_SIZE = 256
 """Maps that are drawn and searched at a time."""
 
 _MAPS_PER_HARD_PROBLEM = 1000
 """Maps that are tried for each hard problem. Where hard problems are rarer, nobody would wait."""
 
-_DTYPES = {"grids": np.uint8, "starts": np.int64, "goals": np.int64, "terrain": np.uint8}
-"""Dtypes of the arrays of a set by name, in the order in which they are hashed."""
 
-_MAX_UNPACKED = 2**26
-"""Bytes that the arrays of any saved set may unpack to: 16,000 maps of 64 x 64 cells."""
-
-_MAX_RATIO = 200
-"""Factor by which the arrays of a saved set may be larger than its file, up to `MAX_BYTES`.
-
-Sets that planners are compared on reach 10 to 160; files made to fill the memory reach 1,000.
-"""
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class ProblemSet:
     """N problems that planners are compared on, each with a path.
 
-    The arrays are copied and cannot be written to. A grid or terrain that `numpy.broadcast_to` has
-    given to all problems is kept once.
+    The arrays are copies and cannot be written to. Equal maps are kept, pickled and saved once: a
+    map that all problems share is repeated by `numpy.broadcast_to`. Where only some problems share
+    a map, ``grids`` and ``terrain`` are made when they are first used, and take the memory of N
+    maps; `maps_of` returns the maps of some problems without it.
+
+    ``problem_set[indices]`` is the set of some problems, by a slice, a list or array of integers,
+    or a mask of N bools, as NumPy selects rows. A problem keeps its map's number, its own number
+    and its path in every subset. An integer alone selects no set: take ``problem_set[[i]]``, or the
+    sample ``ProblemSetDataset(problem_set)[i]``.
 
     Attributes:
         grids: (N, H, W) uint8, 0 free and 1 occupied.
@@ -74,79 +77,235 @@ class ProblemSet:
         description: where the problems come from, in words.
         terrain: (N, H, W) uint8, the cost of each cell as `mapdata.astar` takes it: 0 where
             ``grids`` is 1, and 1 to 255 elsewhere; None if all free cells cost the same.
+        map_indices: (N,) int64, number of the map of each problem, served as ``map_index``. Equal
+            maps have the same number; maps are numbered in the order in which they occur first.
+        problem_numbers: (N,) int64, number of each problem, served as ``problem``: 0 to N - 1, and
+            in a subset the numbers of the set that it was taken from.
+        optimal: the answers of mapdata's A*: the optimal costs, and the expansions to compare with.
 
     Raises:
         ValueError: what `search_batch` refuses; a problem without a path, or whose start is its
             goal.
+
+    >>> from mapdata import Movement
+    >>> problems = ProblemSet.sample("dungeon", seed=77, maps=20, movement=Movement(8))
+    >>> hard = problems[problems.hard]
+    >>> len(problems[:5]), hard.problem_numbers.tolist() == problems.hard.nonzero()[0].tolist()
+    (5, True)
     """
 
     grids: Bytes
     starts: Ints
     goals: Ints
     movement: Movement
-    description: str = "problems"
-    terrain: Bytes | None = None
+    description: str
+    terrain: Bytes | None
+    map_indices: Ints = field(init=False)
+    problem_numbers: Ints = field(init=False)
+    optimal: BatchResult = field(init=False)
+    _maps: _Maps = field(init=False)
+    _rows: Ints = field(init=False)  # (N,), the row of `_maps` that each problem is on
 
-    def __post_init__(self) -> None:
-        """Solve the problems, so that bad ones are refused here, and copy the arrays."""
-        if np.ndim(self.grids) != 3:  # `search_batch` accepts one grid, (H, W), for all problems
-            raise ValueError(f"grids: got shape {np.shape(self.grids)}, expected (N, H, W)")
-        if self.terrain is not None and np.shape(self.terrain) != np.shape(self.grids):
+    def __init__(
+        self,
+        grids: Bytes,
+        starts: Ints,
+        goals: Ints,
+        movement: Movement,
+        description: str = "problems",
+        terrain: Bytes | None = None,
+    ) -> None:
+        """Copy the arrays and solve the problems, so that bad ones are refused here."""
+        if np.ndim(grids) != 3:  # `search_batch` accepts one grid, (H, W), for all problems
+            raise ValueError(f"grids: got shape {np.shape(grids)}, expected (N, H, W)")
+        if terrain is not None and np.shape(terrain) != np.shape(grids):
             raise ValueError(
-                f"terrain: got shape {np.shape(self.terrain)}, expected {np.shape(self.grids)}, "
+                f"terrain: got shape {np.shape(terrain)}, expected {np.shape(grids)}, "
                 "that of the grids"
             )
-        cost = self.optimal.cost
-        for is_bad, fault in ((cost == -1, "has no path"), (cost == 0, "starts at its goal")):
-            if is_bad.any():
-                raise ValueError(f"problem {int(np.argmax(is_bad))} {fault}: leave it out")
-        for name, original in self._arrays().items():
-            copy = np.array(_without_repeats(original), _DTYPES[name], order="C")
-            if copy.shape != np.shape(original):
-                copy = np.broadcast_to(copy, np.shape(original))
-            copy.setflags(write=False)
-            object.__setattr__(self, name, copy)
+        count = len(grids)
+        start_count, goal_count = (len(np.atleast_1d(cells)) for cells in (starts, goals))
+        if not start_count == goal_count == count:
+            raise ValueError(
+                f"got {count} grids, {start_count} starts and {goal_count} goals, expected equal "
+                "numbers"
+            )
+        maps, map_indices = _as_maps(grids, terrain)
+        self._set(maps, map_indices, starts, goals, np.arange(count), movement, description)
 
-    __repr__ = summary
+    def _set(
+        self,
+        maps: _Maps,
+        map_indices: Ints,
+        starts: Ints,
+        goals: Ints,
+        problem_numbers: Ints,
+        movement: Movement,
+        description: str,
+        optimal: BatchResult | None = None,
+    ) -> None:
+        """Set all attributes of a new set, and check that its problems can be solved.
+
+        Args:
+            maps: the K different maps.
+            map_indices: (N,) number of the map of each problem; the k-th smallest of the numbers is
+                that of map k.
+            starts: (N, 2) cells, of any integer type.
+            goals: (N, 2) cells, of any integer type.
+            problem_numbers: (N,).
+            movement: the rule of moves.
+            description: in words.
+            optimal: the solutions, if the problems are known to be good.
+
+        Raises:
+            ValueError: as the class says.
+        """
+        rows = np.unique(map_indices, return_inverse=True)[1].reshape(-1)
+        if optimal is None:
+            optimal = _solve(maps, rows, starts, goals, movement)
+            cost = optimal.cost
+            for is_bad, fault in ((cost == -1, "has no path"), (cost == 0, "starts at its goal")):
+                if is_bad.any():
+                    raise ValueError(f"problem {int(np.argmax(is_bad))} {fault}: leave it out")
+        vars(self).update(
+            starts=_as_cells(starts),
+            goals=_as_cells(goals),
+            movement=movement,
+            description=description,
+            map_indices=map_indices,
+            problem_numbers=problem_numbers,
+            optimal=optimal,
+            _maps=maps,
+            _rows=rows,
+        )
+        self._protect()
+
+    def _protect(self) -> None:
+        """Make the arrays read-only, and set ``grids`` and ``terrain`` if they take no memory."""
+        maps = self._maps
+        for array in (self.starts, self.goals, self.map_indices, self.problem_numbers, *maps):
+            if array is not None:
+                array.setflags(write=False)
+        if maps.terrain is None:
+            vars(self)["terrain"] = None
+        if self._has_own_maps or len(maps.grids) == 1:
+            vars(self)["grids"] = self._repeated(maps.grids)
+            if maps.terrain is not None:
+                vars(self)["terrain"] = self._repeated(maps.terrain)
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Array:
+            """Return ``grids`` or ``terrain`` where some problems share a map; they are kept."""
+            if name not in ("grids", "terrain") or "_maps" not in vars(self):
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            repeated = self._repeated(getattr(self._maps, name))
+            repeated.setflags(write=False)
+            vars(self)[name] = repeated
+            return repeated
+
+    def _repeated(self, maps: Bytes) -> Bytes:
+        """Return the map of each problem, (N, H, W), of the different maps, (K, H, W)."""
+        if self._has_own_maps:
+            return maps
+        if len(maps) == 1:
+            return np.broadcast_to(maps[0], (len(self), *maps.shape[1:]))
+        return maps[self._rows]
+
+    @property
+    def _has_own_maps(self) -> bool:
+        """Whether problem i is on map i of the different maps."""
+        return _are_own(self._maps, self._rows)
+
+    def __repr__(self) -> str:
+        texts = []
+        for name in self.__match_args__:
+            # Other arrays than these two are shown as everywhere; these may have to be made first.
+            text = f"uint8 {(len(self), *self.map_size)}"
+            if name not in ("grids", "terrain") or getattr(self._maps, name) is None:
+                text = brief_text(getattr(self, name))
+            texts.append(f"{name}={text}")
+        return f"ProblemSet({', '.join(texts)})"
 
     def __len__(self) -> int:
         """Return N, the number of problems."""
         return len(self.starts)
 
+    def __getitem__(self, indices: slice | Sequence[int] | Sequence[bool] | Array) -> ProblemSet:
+        """Return the set of some problems, in the given order, which may repeat problems.
+
+        Raises:
+            TypeError: an integer, or what NumPy cannot select rows by.
+            IndexError: a problem that the set does not have, or a mask of another length.
+        """
+        which = self._selected(indices)
+        maps = self._maps
+        used = np.unique(self._rows[which])
+        if len(used) < len(maps.grids):
+            # Maps of no problem are left out, so that they are neither pickled nor saved.
+            terrain = None if maps.terrain is None else maps.terrain[used]
+            maps = _Maps(maps.grids[used], terrain)
+        subset = object.__new__(ProblemSet)
+        subset._set(
+            maps,
+            self.map_indices[which],
+            self.starts[which],
+            self.goals[which],
+            self.problem_numbers[which],
+            self.movement,
+            self.description,
+            selected_paths(self.optimal, which),
+        )
+        return subset
+
+    def _selected(self, indices: Any) -> Ints:
+        """Return the places in the set that ``indices`` selects, (M,)."""
+        places = np.arange(len(self))
+        if isinstance(indices, slice):
+            return places[indices]
+        array = np.asarray(indices)
+        if array.ndim == 1 and array.size == 0 and array.dtype != np.bool_:
+            return places[:0]
+        if array.ndim != 1 or array.dtype.kind not in "biu":
+            hint = f"; [[{indices}]] is the set of this problem" if array.ndim == 0 else ""
+            raise TypeError(
+                f"indices: got {indices!r}, expected a slice, a list or array of integers, or a "
+                f"mask of {len(self)} bools{hint}"
+            )
+        selected: Ints = places[array]
+        return selected
+
+    def maps_of(self, indices: slice | Sequence[int] | Array) -> tuple[Bytes, Bytes | None]:
+        """Return copies of the grids and of the terrain of some problems, each (M, H, W) uint8.
+
+        The terrain is None without any. ``indices`` selects as in ``problem_set[indices]``.
+        """
+        rows = self._rows[self._selected(indices)]
+        grids, terrain = self._maps
+        return grids[rows], None if terrain is None else terrain[rows]
+
+    @property
+    def has_terrain(self) -> bool:
+        """Whether the maps have terrain: free cells that cost different amounts."""
+        return self._maps.terrain is not None
+
+    @property
+    def map_size(self) -> tuple[int, int]:
+        """(rows, columns) of all maps."""
+        _, rows, columns = self._maps.grids.shape
+        return rows, columns
+
     def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes that are pickled: a map that all problems share is pickled once.
+        """Return the attributes that are pickled: each different map once.
 
         The solutions are among them, so that another process does not search again.
         """
-        arrays = self._arrays()
-        return {**vars(self), **{name: _without_repeats(arrays[name]) for name in arrays}}
+        return {name: v for name, v in vars(self).items() if name not in ("grids", "terrain")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over the pickled attributes, again as arrays that cannot be written to."""
         vars(self).update(state)
-        for name, array in self._arrays().items():
-            array.setflags(write=False)
-            if name in ("grids", "terrain"):
-                repeated = np.broadcast_to(array, (len(self), *array.shape[-2:]))
-                object.__setattr__(self, name, repeated)
-
-    def _arrays(self) -> dict[str, Array]:
-        """Return the arrays of the set by name; terrain is among them if there is any."""
-        arrays = {name: getattr(self, name) for name in _DTYPES}
-        return {name: array for name, array in arrays.items() if array is not None}
-
-    @cached_property
-    def optimal(self) -> BatchResult:
-        """The answers of mapdata's A*: the optimal costs, and the expansions to compare with."""
-        grids = _without_repeats(self.grids)
-        terrain = self.terrain
-        if terrain is not None:
-            terrain = _without_repeats(terrain)
-            # A search takes one map or N maps, but not one grid and N terrains.
-            if terrain.ndim != grids.ndim:
-                grids = np.asarray(self.grids)
-                terrain = np.asarray(self.terrain)
-        return search_batch("astar", grids, self.starts, self.goals, self.movement, terrain=terrain)
+        self._protect()
 
     @cached_property
     def hardness(self) -> Floats:
@@ -155,56 +314,73 @@ class ProblemSet:
         On terrain the empty grid has the smallest cost of a free cell everywhere, so that nearly
         every problem is hard.
         """
-        return _hardness(self.optimal.cost, self.starts, self.goals, self.terrain, self.movement)
+        cell_costs = None
+        if self._maps.terrain is not None:
+            cell_costs = min_cell_costs(self._maps.terrain)[self._rows]
+        return hardness(self.optimal.cost, self.starts, self.goals, self.movement, cell_costs)
 
     @cached_property
     def hard(self) -> Flags:
         """(N,) bool: the hardness is at least ``HARD``."""
         return self.hardness >= HARD
 
-    @cached_property
+    @property
     def map_count(self) -> int:
         """Number of different maps among the grids, or terrains."""
-        maps = _without_repeats(self.grids if self.terrain is None else self.terrain)
-        maps = maps.reshape(-1, *self.grids.shape[1:])
-        return len({hashlib.sha256(grid).digest() for grid in maps})
+        return len(self._maps.grids)
 
     @cached_property
     def content_hash(self) -> str:
-        """SHA-256 of the problems and the movement, as hex: equal sets have equal hashes."""
+        """SHA-256 of the problems and the movement, as hex: equal sets have equal hashes.
+
+        The numbers of maps and problems are not part of it, nor is the description.
+        """
+        grids, terrain = self._maps
+        count = len(self)
         digest = hashlib.sha256(canonical_json(asdict(self.movement)).encode())
-        for name, array in self._arrays().items():
-            digest.update(f"{name} {array.shape}".encode())
-            little_endian = array.dtype.newbyteorder("<")
-            # Row by row, since grids that share memory would each be copied otherwise.
-            for row in array:
-                digest.update(row.astype(little_endian).tobytes())
+        # Each problem is hashed with its whole map, as if no map were shared.
+        for name, maps in (
+            ("grids", grids),
+            ("starts", None),
+            ("goals", None),
+            ("terrain", terrain),
+        ):
+            if maps is not None:
+                digest.update(f"{name} {(count, *maps.shape[1:])}".encode())
+                for row in self._rows:
+                    digest.update(maps[row].tobytes())
+            elif name != "terrain":
+                cells: Ints = getattr(self, name)
+                digest.update(f"{name} {cells.shape}".encode())
+                digest.update(cells.astype("<i8").tobytes())
         return digest.hexdigest()
 
     def save(self, path: StrPath) -> None:
         """Write the problems to a compressed .npz; the same problems are the same bytes.
 
-        It holds ``grids``, ``starts`` and ``goals`` as above, and ``about``: movement and
-        description as JSON. A set with terrain holds ``terrain`` in place of ``grids``, which are 1
-        where it is 0. So versions of mapdata that do not know terrain refuse the file. An existing
-        file is replaced as a whole or not at all. A set that would unpack to more than `load`
-        allows is not compressed: a set of more than 1 GiB, or many large and nearly empty maps.
+        Each different map is stored once, and no path or picture is stored. The file states its
+        format and a hash of itself, which `verify` compares; versions of mapdata that do not know
+        the format refuse it. An existing file is replaced as a whole or not at all. A set that
+        would unpack to more than `load` allows is not compressed: one whose different maps take
+        more than 1 GiB, or many large and nearly empty maps.
         """
-        about = canonical_json({"movement": asdict(self.movement), "description": self.description})
-        arrays: dict[str, Any] = self._arrays()
-        if "terrain" in arrays:
-            del arrays["grids"]
-        archive = BytesIO()
-        np.savez_compressed(archive, about=about, **arrays)
-        unpacked_bytes = sum(array.nbytes for array in arrays.values())
-        if unpacked_bytes > _max_unpacked(archive.getbuffer().nbytes):
-            archive = BytesIO()
-            np.savez(archive, about=about, **arrays)
-        write_output(path, archive.getvalue())
+        grids, terrain = self._maps
+        stored = StoredSet(
+            grids if terrain is None else terrain,
+            terrain is not None,
+            self.map_indices,
+            self.starts,
+            self.goals,
+            self.problem_numbers,
+            self.movement,
+            self.description,
+            self.content_hash,
+        )
+        write_set(path, stored)
 
     @staticmethod
     def load(path: StrPath) -> ProblemSet:
-        """Read problems that `save` wrote.
+        """Read problems that `save` wrote, in this version of mapdata or an earlier one.
 
         The headers of the arrays are checked before anything is unpacked. The arrays together may
         unpack to 64 MiB, or to 200 times the size of the file but at most 1 GiB; arrays that are
@@ -212,36 +388,37 @@ class ProblemSet:
 
         Raises:
             FileNotFoundError: the file does not exist.
-            ValueError: the file holds no problems, too many for its size, or problems that
-                `ProblemSet` refuses; the message names the file.
+            ValueError: the file holds no problems, too many for its size, problems of a newer
+                format, or problems that `ProblemSet` refuses; the message names the file.
+        """
+        problem_set, _ = _load(Path(path))
+        return problem_set
+
+    @staticmethod
+    def verify(path: StrPath) -> list[str]:
+        """Return what is wrong with a file that `save` wrote, in one line, or an empty list.
+
+        The file hash covers every bit of the file, and the content hash all problems that it holds.
+        A file of mapdata 0.2 has neither: it is only read, which compares the checksums of its
+        arrays.
+
+        Raises:
+            FileNotFoundError: the file does not exist.
         """
         path = Path(path)
-        max_bytes = _max_unpacked(path.stat().st_size)
         try:
-            archive = Npz(path, sys.maxsize)  # the size is checked below, with a clearer message
-            about = json.loads(archive.text("about"))
-            has_terrain = "terrain" in archive.shapes
-            stored = archive.arrays("terrain" if has_terrain else "grids", "starts", "goals")
-            _check_shapes([array.shape for array in stored])
-            unpacked_bytes = sum(array.nbytes for array in stored)
-            if unpacked_bytes > max_bytes:
-                raise ValueError(
-                    f"they unpack to {unpacked_bytes} bytes, expected at most {max_bytes}: 64 MiB, "
-                    f"or {_MAX_RATIO} times the file up to 1 GiB. If you trust it, save its arrays "
-                    "with numpy.savez, uncompressed"
-                )
-            maps, starts, goals = (array.read() for array in stored)
-            return ProblemSet(
-                maps == 0 if has_terrain else maps,
-                starts,
-                goals,
-                movement=Movement(**about["movement"]),
-                description=str(about["description"]),
-                terrain=maps if has_terrain else None,
-            )
-        except Exception as error:  # the readers of zip and JSON do not document what they raise
-            reason = str(error).removeprefix(f"{path}: ")
-            raise ValueError(f"{path}: holds no saved problems ({reason})") from None
+            problem_set, stated_hash = _load(path)
+        except FileNotFoundError:
+            raise
+        except (OSError, ValueError) as error:
+            reason = str(error)
+            return [reason if str(path) in reason else f"{path}: {reason}"]
+        if stated_hash is None:
+            return []
+        fault = hash_fault(path)
+        if fault is None and problem_set.content_hash != stated_hash:
+            fault = "damaged (its content hash does not fit)"
+        return [] if fault is None else [f"{path}: {fault}"]
 
     @staticmethod
     def sample(
@@ -383,33 +560,131 @@ class ProblemSet:
         )
 
 
-def _without_repeats(arrays: Array) -> Array:
-    """Return the first map, (H, W), if all maps, (N, H, W), share its memory; else the maps."""
-    arrays = np.asarray(arrays)
-    is_repeated = len(arrays) > 0 and arrays.strides[0] == 0
-    return arrays[0] if is_repeated else arrays
+class _Maps(NamedTuple):
+    """The K different maps of a set.
 
-
-def _max_unpacked(file_bytes: int) -> int:
-    """Return how many bytes the arrays of a saved set of this size may unpack to.
-
-    Arrays that are not compressed are smaller than their file, and so are always allowed.
+    Attributes:
+        grids: (K, H, W) uint8.
+        terrain: (K, H, W) uint8, or None.
     """
-    return max(_MAX_UNPACKED, min(_MAX_RATIO * file_bytes, MAX_BYTES), file_bytes)
+
+    grids: Bytes
+    terrain: Bytes | None
 
 
-def _check_shapes(shapes: Sequence[tuple[int, ...]]) -> None:
-    """Refuse shapes of grids, starts and goals that do not fit together.
+def _are_own(maps: _Maps, rows: Ints) -> bool:
+    """Return whether problem i is on map i of the different maps; ``rows``, (N,), are its map."""
+    return len(rows) == len(maps.grids) and np.array_equal(rows, np.arange(len(rows)))
+
+
+def _as_maps(grids: Bytes, terrain: Bytes | None) -> tuple[_Maps, Ints]:
+    """Return the different maps of N problems, as new arrays, and the number of each problem's map.
+
+    Args:
+        grids: (N, H, W) of 0 and 1.
+        terrain: (N, H, W), or None.
 
     Raises:
-        ValueError: the message says which shapes were expected.
+        ValueError: numbers that are no maps.
     """
-    grids, starts, goals = shapes
-    if len(grids) != 3 or starts != (grids[0], 2) or goals != starts:
-        raise ValueError(
-            f"grids, starts and goals have shapes {grids}, {starts} and {goals}, expected "
-            "(N, H, W), (N, 2) and (N, 2)"
+    count, *shape = np.shape(grids)
+    arrays = [np.asarray(grids)] + ([] if terrain is None else [np.asarray(terrain)])
+    if count and all(array.strides[0] == 0 for array in arrays):
+        # `numpy.broadcast_to` gave one map to all problems.
+        arrays = [array[:1] for array in arrays]
+    grid_stack = as_grid(arrays[0], 3)
+    if terrain is None:
+        different, map_indices = different_maps(grid_stack, tuple(shape))
+        maps = _Maps(different, None)
+    else:
+        terrain_stack = as_terrain(arrays[1], grid_stack)
+        different, map_indices = different_maps(terrain_stack, tuple(shape))
+        maps = _Maps((different == 0).astype(np.uint8), different)
+    return maps, np.resize(map_indices, count)
+
+
+def _as_cells(cells: Ints) -> Ints:
+    """Return a copy of cells, (N, 2) int64; they are known to be cells."""
+    return np.array(cells, np.int64, order="C").reshape(-1, 2)
+
+
+def _solve(maps: _Maps, rows: Ints, starts: Ints, goals: Ints, movement: Movement) -> BatchResult:
+    """Return A*'s answers to N problems on the maps ``rows``, (N,).
+
+    Raises:
+        ValueError: what `search_batch` refuses.
+    """
+    grids, terrain = maps
+    if _are_own(maps, rows):
+        return search_batch("astar", grids, starts, goals, movement, terrain=terrain)
+    if len(grids) == 1:
+        shared = None if terrain is None else terrain[0]
+        return search_batch("astar", grids[0], starts, goals, movement, terrain=shared)
+    # The maps are repeated for some problems at a time, so that memory does not hold N of them.
+    part_size = max(1, _PART_CELLS // (grids.shape[1] * grids.shape[2]))
+    parts = []
+    for first in range(0, len(rows), part_size):
+        part = slice(first, first + part_size)
+        repeated = None if terrain is None else terrain[rows[part]]
+        ends = np.asarray(starts)[part], np.asarray(goals)[part]
+        try:
+            found = search_batch("astar", grids[rows[part]], *ends, movement, terrain=repeated)
+        except ValueError as error:
+            # The message names the problem by its number in the part.
+            match = re.fullmatch(r"problem (\d+): (.*)", str(error), re.DOTALL)
+            if match is None:
+                raise
+            raise ValueError(f"problem {first + int(match[1])}: {match[2]}") from None
+        parts.append(found)
+    return BatchResult(
+        np.concatenate([part.cells for part in parts]),
+        offsets_of(np.concatenate([np.diff(part.offsets) for part in parts])),
+        np.concatenate([part.cost for part in parts]),
+        np.concatenate([part.iterations for part in parts]),
+    )
+
+
+def selected_paths(paths: BatchResult, which: Ints) -> BatchResult:
+    """Return the answers to the problems ``which``, (M,)."""
+    lengths = np.diff(paths.offsets)[which]
+    offsets = offsets_of(lengths)
+    # Path m moves from paths.offsets[which[m]] to offsets[m].
+    shifts = paths.offsets[which] - offsets[:-1]
+    places = np.arange(offsets[-1]) + np.repeat(shifts, lengths)
+    return BatchResult(paths.cells[places], offsets, paths.cost[which], paths.iterations[which])
+
+
+def _load(path: Path) -> tuple[ProblemSet, str | None]:
+    """Return the set of a file, and the content hash that the file states, if any.
+
+    Raises:
+        FileNotFoundError, ValueError: as `ProblemSet.load`.
+    """
+    try:
+        stored = read_set(path)
+        maps, rows = _as_maps(
+            (stored.maps == 0) if stored.has_terrain else stored.maps,
+            stored.maps if stored.has_terrain else None,
         )
+        # The maps of a file are different ones, unless another program wrote it.
+        if len(maps.grids) < len(rows):
+            raise ValueError("two of its maps are equal")
+        problem_set = object.__new__(ProblemSet)
+        problem_set._set(
+            maps,
+            stored.map_indices,
+            stored.starts,
+            stored.goals,
+            stored.problem_numbers,
+            stored.movement,
+            stored.description,
+        )
+    except (FileNotFoundError, PermissionError):
+        raise
+    except Exception as error:  # the readers of zip and JSON do not document what they raise
+        reason = str(error).removeprefix(f"{path}: ")
+        raise ValueError(f"{path}: holds no saved problems ({reason})") from None
+    return problem_set, stored.content_hash
 
 
 class _MapBatch(NamedTuple):
@@ -641,17 +916,8 @@ def _until_hard(
     """
     _, grids, terrain, starts, goals = sampled
     cost = search_batch("astar", grids, starts, goals, movement, terrain=terrain).cost
-    is_hard = _hardness(cost, starts, goals, terrain, movement) >= HARD
+    cell_costs = None if terrain is None else min_cell_costs(terrain)
+    is_hard = hardness(cost, starts, goals, movement, cell_costs) >= HARD
     hard_rows = np.flatnonzero(is_hard)[:max_hard]
     row_count = hard_rows[-1] + 1 if len(hard_rows) == max_hard else len(is_hard)
     return sampled.first(row_count), len(hard_rows)
-
-
-def _hardness(
-    costs: Floats, starts: Ints, goals: Ints, terrain: Bytes | None, movement: Movement
-) -> Floats:
-    """Return the hardness (N,) of problems on ``terrain``, (N, H, W), or on maps without it."""
-    if terrain is None:
-        return hardness(costs, starts, goals, movement)
-    min_costs = min_cell_costs(_without_repeats(terrain))
-    return hardness(costs, starts, goals, movement, min_costs)

@@ -159,6 +159,9 @@ _TEMPORARY_SUFFIX = ".mapdata.tmp"
 _TEMPORARY_NAME = re.compile(rf"\..+\.[0-9a-f]{{16}}{re.escape(_TEMPORARY_SUFFIX)}", re.DOTALL)
 """The names that `temporary_path` returns."""
 
+_MAX_NAME_BYTES = 255
+"""The longest name of a file on all common file systems, in bytes."""
+
 _FOLDER_LOCK = "lock"
 """File in a temporary folder that its writer locks, since not all file systems lock folders."""
 
@@ -167,8 +170,15 @@ _MAX_AGE_WITHOUT_LOCKS = 86_400
 
 
 def temporary_path(target: Path) -> Path:
-    """Return a new hidden path in the folder of ``target``, to write its new content to."""
-    return target.with_name(f".{target.name}.{uuid4().hex[:16]}{_TEMPORARY_SUFFIX}")
+    """Return a new hidden path in the folder of ``target``, to write its new content to.
+
+    A long name is cut, because a file system that takes the name of the target may not take a
+    longer one.
+    """
+    end = f".{uuid4().hex[:16]}{_TEMPORARY_SUFFIX}"
+    name = os.fsencode(target.name)[: _MAX_NAME_BYTES - len(end) - 1]
+    # A letter of several bytes may have been cut in two.
+    return target.with_name(f".{name.decode(errors='ignore') or 'output'}{end}")
 
 
 @contextmanager

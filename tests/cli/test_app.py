@@ -25,8 +25,9 @@ from helpers.builds import MAPS, SEED, SIZE, SPEC, make, shard_name, stamps, unp
 from helpers.families import forget, write_module
 
 import mapdata
-from mapdata import MapDataset, MapSpec, Maze, Movement, build, read_shard
+from mapdata import MapDataset, MapSpec, Maze, Movement, ProblemSet, build, read_shard
 from mapdata.cli import app as cli
+from mapdata.export import export_problems
 from mapdata.generators import PRESETS, Cave, Terrain
 from mapdata.generators.generator import _presets
 from mapdata.shards import MANIFEST, cluster, read_manifest
@@ -380,6 +381,50 @@ def test_output_is_written_through_links_and_devices(
         os.close(ends[1])
         reader.join(timeout=60)
     assert len(got[0]) > 100
+
+
+def test_verify_takes_problem_sets_and_exports(run: Command, dataset: Path, tmp_path: Path) -> None:
+    """It prints one line for each, and the exit code is 0; a dataset may stand beside them."""
+    problems = tmp_path / "set.npz"
+    ProblemSet.sample("maze15", 0, 2, movement=Movement(4)).save(problems)
+    export = tmp_path / "export"
+    export_problems(ProblemSet.load(problems), export)
+    outcome = run("verify", problems, dataset, export)
+    assert outcome.code == 0
+    assert sorted(outcome.out.splitlines()) == sorted(
+        f"{source}: no faults found" for source in (problems, dataset, export)
+    )
+    for path, said in ((problems, "fault found"), (export / "test/goal.npy", "fault found")):
+        content = bytearray(path.read_bytes())
+        content[-80] ^= 4
+        path.write_bytes(content)
+        outcome = run("verify", export if path.is_relative_to(export) else path)
+        assert outcome.code == 1
+        (line,) = outcome.out.splitlines()
+        assert line.startswith(f"{path}: ")
+        assert said in outcome.err
+    assert run("verify", problems, export, dataset).code == 1
+    outcome = run("verify", problems, "--repair")
+    assert (outcome.code, outcome.out) == (2, "")
+    assert f"--repair: {problems} is a problem set, and has no recipe" in outcome.err
+
+
+def test_verify_refuses_what_it_does_not_know(run: Command, tmp_path: Path) -> None:
+    """By its name: another file, another folder, an archive of other arrays, nothing."""
+    text = tmp_path / "notes.txt"
+    text.write_text("mine")
+    outcome = run("verify", text)
+    assert outcome.code == 2
+    assert f"no dataset at {text}: it is a file" in outcome.err
+    for path in (tmp_path, tmp_path / "none"):
+        outcome = run("verify", path)
+        assert outcome.code == 2
+        assert str(path) in outcome.err
+    archive = tmp_path / "other.npz"
+    np.savez(archive, a=np.zeros(3))
+    outcome = run("verify", archive)
+    assert (outcome.code, outcome.out.count("\n")) == (1, 1)
+    assert outcome.out.startswith(f"{archive}: holds no saved problems (holds no array 'about'")
 
 
 def test_verify_works_without_stderr(dataset: Path) -> None:

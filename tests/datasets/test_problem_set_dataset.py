@@ -174,7 +174,7 @@ def test_augmentation_moves_all_fields_alike() -> None:
 
 
 def test_map_index_is_the_number_of_the_grid() -> None:
-    """That of the problem, or 0 for all problems that share a grid."""
+    """That of the problem, or the same one for all problems that share a grid."""
     dataset = ProblemSetDataset(problem_set(Movement(8)), ("problem", "map_index"))
     batch = dataset[[5, 2, 5]]
     assert batch.map_index.tolist() == [5, 2, 5]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import pickle
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from itertools import product
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
-from helpers.reference_tiles import reference_picture, reference_texture
+from helpers.reference_tiles import reference_key, reference_picture, reference_texture
 from torch import nn
 
 from mapdata import (
@@ -29,10 +29,13 @@ from mapdata import (
     generate,
 )
 from mapdata.arrays import Bytes, Ints
-from mapdata.datasets.tiles import TEXTURES, draw_textures, draw_tiles
+from mapdata.datasets.tiles import TEXTURES, draw_textures, draw_tiles, map_keys
 
 TILES_COSTS = (8, 12, 53, 77, 92)
 """The costs of the preset ``tiles``."""
+
+KEY = np.array([9], np.uint64)
+"""The key of one picture."""
 
 ONE_TO_TEN = tuple(range(1, 11))
 
@@ -47,7 +50,6 @@ class StoredBatch:
     stored_terrain: Bytes | None
     stored_grids: Bytes
     symmetries: Ints
-    map_numbers: Ints = field(default_factory=lambda: np.array([3, 2**40]))
 
 
 def batch_of(generator: Terrain, code: int = 0) -> StoredBatch:
@@ -76,21 +78,33 @@ def transformed(array: Any, code: int) -> Any:
 def test_pictures_equal_the_reference(pixels: int, alike: bool, noise: int, seed: int) -> None:
     """Each pixel, for all 11 patterns in the lowest digit and some in the others."""
     terrain = np.array([[0, 1, 5, 12, 77, 2, 4], [255, 8, 3, 92, 10, 250, 6]], np.uint8)
-    numbers = np.array([1, 2**40 + 3])
-    pictures = draw_tiles(np.stack([terrain, terrain]), numbers, pixels, alike, noise, seed)
+    keys = np.array([1, 2**63 + 3], np.uint64)
+    pictures = draw_tiles(np.stack([terrain, terrain]), keys, pixels, alike, noise, seed)
     assert pictures.dtype == np.uint8
-    expected = reference_picture(terrain.tolist(), 2**40 + 3, pixels, alike, noise, seed)
+    expected = reference_picture(terrain.tolist(), 2**63 + 3, pixels, alike, noise, seed)
     np.testing.assert_array_equal(pictures[1], expected)
     assert not np.array_equal(pictures[0], pictures[1])
+
+
+def test_the_key_of_a_picture_is_a_hash_of_the_map() -> None:
+    """Of its costs and its size: the same cells in rows of another length are another map."""
+    terrain = np.arange(12, dtype=np.uint8).reshape(1, 3, 4)
+    for shaped in (terrain, terrain.reshape(1, 4, 3), terrain.reshape(1, 2, 6), terrain[:, ::-1]):
+        (key,) = map_keys(shaped).tolist()
+        assert key == reference_key(shaped[0].tolist())
+    # By hand, in a shell: printf '\1\0\0\0\2\0\0\0\1\0' | sha256sum | cut -c 1-16
+    (key,) = map_keys(np.array([[[1, 0]]], np.uint8)).tolist()
+    assert key.to_bytes(8, "little").hex() == "e1853cf638fff838"
+    assert map_keys(terrain[:0]).shape == (0,)
 
 
 def test_all_costs_can_be_drawn() -> None:
     """The bank grows from some costs to all 256, whose textures equal the reference."""
     terrain = np.arange(256, dtype=np.uint8).reshape(1, 16, 16)
     few = terrain[:, :1] // 4
-    first = draw_tiles(few, np.array([0]), 4, False, 0, seed=11)
-    draw_tiles(terrain, np.array([0]), 4, False, 0, seed=11)
-    np.testing.assert_array_equal(draw_tiles(few, np.array([0]), 4, False, 0, seed=11), first)
+    first = draw_tiles(few, KEY, 4, False, 0, seed=11)
+    draw_tiles(terrain, KEY, 4, False, 0, seed=11)
+    np.testing.assert_array_equal(draw_tiles(few, KEY, 4, False, 0, seed=11), first)
     textures = draw_textures(209, 4, False, 11)
     for texture in (0, TEXTURES - 1):
         expected = reference_texture(209, texture, 4, False, 11)
@@ -98,14 +112,17 @@ def test_all_costs_can_be_drawn() -> None:
 
 
 def test_pictures_do_not_change() -> None:
-    """A hash of pictures, which are the same on every machine and in every version."""
+    """A hash of pictures, which are the same on every machine and in every version.
+
+    The pictures of `reference_picture` with the keys of `reference_key` have the same hash.
+    """
     digest = hashlib.sha256()
     for options in (Tiles(), Tiles(pixels=12, alike=True, noise=20, seed=5)):
         for generator in (SQUARE, WIDE):
             terrain = np.resize(np.array([0, 1, 8, 53, 255], np.uint8), (2, *generator.map_size))
             batch = StoredBatch(terrain, terrain, np.array([0, 3]))
             digest.update(options(batch).tobytes())
-    assert digest.hexdigest() == "50d50a1ff5b6f4f20517ec11e8bc4edec5cc8019850752b2a5728e0de160540d"
+    assert digest.hexdigest() == "3b2852a52810dfdd8b5a516036c8df7ddc0b806e9e4808e295b81298afeaff14"
 
 
 @pytest.mark.parametrize("code", range(8))
@@ -121,13 +138,13 @@ def test_the_picture_moves_with_the_map(options: Tiles, code: int) -> None:
         np.testing.assert_array_equal(moved[1], transformed(pictures[1], code))
 
 
-def test_a_tile_depends_only_on_seed_map_cell_and_cost() -> None:
+def test_a_tile_depends_only_on_seed_key_cell_and_cost() -> None:
     """Changing the cost of a cell changes no other tile, even with noise."""
     terrain = np.full((1, 4, 5), 8, np.uint8)
     changed = terrain.copy()
     changed[0, 2, 3] = 12
     pictures, changed_pictures = (
-        draw_tiles(costs, np.array([9]), 8, True, 10, 0) for costs in (terrain, changed)
+        draw_tiles(costs, KEY, 8, True, 10, 0) for costs in (terrain, changed)
     )
     is_different = (pictures != changed_pictures).any(axis=(0, 1))
     rows, columns = np.nonzero(is_different)
@@ -139,8 +156,8 @@ def test_a_tile_depends_only_on_seed_map_cell_and_cost() -> None:
 def test_noise_has_its_standard_deviation(noise: int) -> None:
     """And mean 0, a normal distribution, and no correlation of neighbours and channels."""
     terrain = np.full((20, 12, 12), 6, np.uint8)
-    numbers = np.arange(20)
-    clean, noisy = (draw_tiles(terrain, numbers, 8, True, n, 0).astype(float) for n in (0, noise))
+    keys = np.arange(20, dtype=np.uint64)
+    clean, noisy = (draw_tiles(terrain, keys, 8, True, n, 0).astype(float) for n in (0, noise))
     difference = noisy - clean
     assert noisy.min() > 0
     assert noisy.max() < 255
@@ -281,7 +298,7 @@ def test_a_small_network_of_half_the_textures_knows_the_other_half(
 
 
 def test_stored_and_online_maps_have_the_same_pictures(tmp_path: Path) -> None:
-    """Each map has the picture of its own number, in whatever order it is read."""
+    """Each map has its own picture, in whatever order it is read."""
     fields: Any = ("terrain", Tiles(noise=9), "problem")
     build(tmp_path / "maps", SQUARE, maps=12, seed=3)
     online = OnlineMapDataset(SQUARE, 3, 12, fields=fields)[:]
@@ -321,7 +338,7 @@ def test_maps_without_terrain_have_pictures() -> None:
     plain = OnlineMapDataset(**arguments)[:]
     inflated = OnlineMapDataset(**arguments, radius=0.1)
     free = 1 - plain.map[:, 0].numpy()
-    expected = draw_tiles(free, np.arange(5), 8, False, 0, 0)
+    expected = draw_tiles(free, map_keys(free), 8, False, 0, 0)
     np.testing.assert_array_equal(plain.image, expected)
     sample = inflated[0]
     assert any(torch.equal(sample.image, image) for image in plain.image)

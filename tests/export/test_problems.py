@@ -35,6 +35,7 @@ from mapdata.export.problems import _Part
 from mapdata.export.writers import ArrayWriter
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.formats.maze_hard import is_shortest_answer
+from mapdata.problems.sources import plain_text
 from mapdata.shards import DatasetNotFoundError
 
 MAZE = Maze((15, 15))
@@ -232,6 +233,21 @@ def test_max_length_pads_paths_and_bounds_random_ones(root: str, tmp_path: Path)
     with pytest.raises(ValueError, match="does not fit into 20"):
         export_problems(root, tmp_path / "routes", split="train", max_length=20)
     assert not (tmp_path / "routes").exists()
+
+
+@pytest.mark.parametrize(("band", "written"), [((8, 60), [8, 20]), ((8, 15), [8, 15])])
+def test_max_length_beside_a_band_keeps_the_smaller_bound(
+    band: tuple[int, int], written: list[int], root: str, tmp_path: Path
+) -> None:
+    """Random problems are drawn no longer than either says, and no shorter than the band."""
+    problems = Random(length=band)
+    export_problems(root, tmp_path / "out", problems=problems, split="train", max_length=20)
+    lengths = (np.load(tmp_path / "out/train/path.npy")[:, :, 0] >= 0).sum(axis=1)
+    assert lengths.min() >= 8
+    assert lengths.max() <= written[1]
+    assert about(tmp_path / "out")["options"]["problems"] == plain_text(
+        Random(length=tuple(written))
+    )
 
 
 def test_only_the_training_split_is_augmented(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
 from collections.abc import Sequence
 from fractions import Fraction
@@ -180,9 +181,16 @@ def noise_levels(noise: int) -> list[int]:
     return [-level for level in reversed(scaled)] + scaled
 
 
+def reference_key(terrain: Sequence[Sequence[int]]) -> int:
+    """Return the key of the picture of a map: 8 bytes of a hash of its size and costs."""
+    size = len(terrain).to_bytes(4, "little") + len(terrain[0]).to_bytes(4, "little")
+    costs = b"".join(bytes(row) for row in terrain)
+    return int.from_bytes(hashlib.sha256(size + costs).digest()[:8], "little")
+
+
 def reference_picture(
     terrain: Sequence[Sequence[int]],
-    map_number: int,
+    key: int,
     pixels: int,
     alike: bool,
     noise: int,
@@ -195,12 +203,12 @@ def reference_picture(
     for channel in range(3):
         lines = []
         for picture_row in range(rows * pixels):
-            run_words = block(seed, map_number, NOISE_RUN, IMAGE, 3 * picture_row + channel)
+            run_words = block(seed, key, NOISE_RUN, IMAGE, 3 * picture_row + channel)
             run, other_run = (bounded(word, 0, NOISE_COUNT - width) for word in run_words[:2])
             line = []
             for x in range(width):
                 row, column = picture_row // pixels, x // pixels
-                words = block(seed, map_number, TILE, IMAGE, row * columns + column)
+                words = block(seed, key, TILE, IMAGE, row * columns + column)
                 texture = bounded(words[0], 0, TEXTURES - 1)
                 levels = reference_texture(terrain[row][column], texture, pixels, alike, seed)
                 level = levels[channel][picture_row % pixels * pixels + x % pixels]

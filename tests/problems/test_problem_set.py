@@ -295,9 +295,10 @@ def test_a_set_may_unpack_to_200_times_its_file(
     """What `save` writes is read, also where a small limit stands for many maps: then it does not
     compress. Others are refused with a way out.
     """
-    monkeypatch.setattr("mapdata.problems.problem_set._MAX_UNPACKED", 2**16)
+    monkeypatch.setattr("mapdata.problems.set_file._MAX_UNPACKED", 2**16)
     count = 50
     grids = np.zeros((count, 120, 120), np.uint8)
+    grids[np.arange(count), 119, np.arange(count)] = 1  # different maps
     starts = np.stack([np.arange(count), np.zeros(count, np.int64)], axis=1)
     problems = ProblemSet(grids, starts, starts + 5, Movement())
     path = tmp_path / "set.npz"
@@ -316,7 +317,7 @@ def test_a_set_may_unpack_to_200_times_its_file(
     walls.save(path)
     assert walls.grids.nbytes > 10 * path.stat().st_size
     assert_same(ProblemSet.load(path), walls)
-    monkeypatch.setattr("mapdata.problems.problem_set.MAX_BYTES", 2**16)
+    monkeypatch.setattr("mapdata.problems.set_file.MAX_BYTES", 2**16)
     with pytest.raises(ValueError, match="expected at most 65536: "):
         ProblemSet.load(path)
     walls.save(path)

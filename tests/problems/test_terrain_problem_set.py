@@ -201,7 +201,8 @@ def test_a_saved_set_keeps_its_terrain(tmp_path: Path) -> None:
     path = tmp_path / "set.npz"
     problems.save(path)
     with np.load(path) as file:
-        assert set(file) == {"about", "terrain", "starts", "goals"}
+        assert set(file) == {"about_format_2", "terrain", "starts", "goals", "map_indices"}
+        assert len(file["terrain"]) == 2  # two of the three problems share a map
     loaded = ProblemSet.load(path)
     assert loaded.content_hash == problems.content_hash
     np.testing.assert_array_equal(loaded.terrain, problems.terrain)
@@ -214,11 +215,12 @@ def test_a_saved_set_keeps_its_terrain(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("terrain", "reason"),
     [
-        (np.full((3, 2, 3), 300), "terrain: got the value 300"),
-        (np.full((3, 2, 3), 0.5), "terrain: got dtype float64"),
-        (np.ones((2, 2, 3), np.uint8), "have shapes"),
-        (np.ones((3, 6), np.uint8), "have shapes"),
-        (np.zeros((3, 2, 3), np.uint8), "start: .* is on an occupied cell"),
+        (np.full((2, 2, 3), 300), "terrain: got the value 300"),
+        (np.full((2, 2, 3), 0.5), "terrain: got dtype float64"),
+        (np.ones((3, 2, 3), np.uint8), "map_indices holds 2 different numbers, expected 3"),
+        (np.ones((2, 6), np.uint8), "have shapes"),
+        (np.ones((2, 2, 3), np.uint8), "two of its maps are equal"),
+        (np.arange(12).reshape(2, 2, 3), "start: .* is on an occupied cell"),
     ],
 )
 def test_a_file_of_bad_terrain_is_refused(terrain: Bytes, reason: str, tmp_path: Path) -> None:
@@ -236,8 +238,9 @@ def test_a_file_of_terrain_may_unpack_to_as_much_as_one_of_grids(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """64 MiB or 200 times the file; a set that is larger is saved uncompressed."""
-    monkeypatch.setattr("mapdata.problems.problem_set._MAX_UNPACKED", 2**16)
+    monkeypatch.setattr("mapdata.problems.set_file._MAX_UNPACKED", 2**16)
     terrain = np.full((50, 120, 120), 3, np.uint8)
+    terrain[:, 0, 119] += np.arange(50, dtype=np.uint8)  # different maps
     starts = np.stack([np.arange(50), np.zeros(50, np.int64)], axis=1)
     problems = ProblemSet(as_grids(terrain), starts, starts + 5, Movement(), terrain=terrain)
     path = tmp_path / "set.npz"

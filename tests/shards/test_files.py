@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from mapdata.shards import write_output
-from mapdata.shards.files import sweep_temporaries, temporary_folder, temporary_path
+from mapdata.shards.files import new_output, sweep_temporaries, temporary_folder, temporary_path
 
 TARGET = "maps.npz"
 
@@ -33,6 +33,20 @@ def leave_file(target: Path) -> Path:
     path = temporary_path(target)
     path.write_bytes(b"half a file")
     return path
+
+
+@pytest.mark.parametrize("name", ["m" * 255, "\N{GREEK SMALL LETTER PI}" * 127, "s" * 216 + ".npz"])
+def test_the_longest_names_can_be_written(name: str, tmp_path: Path) -> None:
+    """A file and a folder of up to 255 bytes; what a killed writer leaves of them is swept."""
+    write_output(tmp_path / name, b"whole")
+    assert (tmp_path / name).read_bytes() == b"whole"
+    dead = [leave_file(tmp_path / name), leave_folder(tmp_path / name)]
+    assert all(len(os.fsencode(path.name)) <= 255 for path in dead)
+    with new_output(tmp_path / "folder" / name) as output:
+        output.mkdir()
+    assert (tmp_path / "folder" / name).is_dir()
+    sweep_temporaries(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {name, "folder"}
 
 
 def test_what_dead_writers_left_is_swept(tmp_path: Path) -> None:

@@ -1,0 +1,357 @@
+"""Files of problem sets: shared maps are stored once, damage is found, and old files are read."""
+
+from __future__ import annotations
+
+import copy
+import json
+import pickle
+import tracemalloc
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mapdata import Movement, ProblemSet, ProblemSetDataset
+from mapdata.arrays import Array, Bytes
+from mapdata.evaluation import score_paths
+from mapdata.formats import read_problems
+
+OLD_SETS = Path(__file__).parents[1] / "data" / "problem-sets-1"
+"""Files that mapdata 0.2.0 wrote, and the content hashes that it computed."""
+
+OLD_HASHES: dict[str, str] = json.loads((OLD_SETS / "hashes.json").read_text())
+
+
+def walled(count: int, map_count: int, side: int = 24, *, terrain: bool = False) -> ProblemSet:
+    """Return problems on a few maps, each used by several: problem i is on map ``i % map_count``.
+
+    A wall with one gap, whose place is the number of the map, divides each map.
+    """
+    grids = np.zeros((count, side, side), np.uint8)
+    grids[:, side // 2] = 1
+    grids[np.arange(count), side // 2, np.arange(count) % map_count] = 0
+    starts = np.stack([np.zeros(count, np.int64), np.arange(count) % side], axis=1)
+    goals = side - 1 - starts
+    costs = np.where(grids == 1, 0, 3 + np.arange(side, dtype=np.uint8))
+    return ProblemSet(
+        grids, starts, goals, Movement(8), "walls", costs.astype(np.uint8) if terrain else None
+    )
+
+
+def saved(problems: ProblemSet, folder: Path) -> Path:
+    """Return the file of a set."""
+    path = folder / "set.npz"
+    problems.save(path)
+    return path
+
+
+# --- what is stored ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("terrain", [False, True])
+def test_each_different_map_is_stored_once(tmp_path: Path, *, terrain: bool) -> None:
+    """In the file and in a pickle; numbers say who is on which map, and no picture is stored."""
+    problems = walled(12, 3, terrain=terrain)
+    path = saved(problems, tmp_path)
+    maps = "terrain" if terrain else "grids"
+    with np.load(path) as file:
+        assert set(file) == {"about_format_2", maps, "starts", "goals", "map_indices"}
+        assert file[maps].shape == (3, 24, 24)
+        assert file["map_indices"].tolist() == [0, 1, 2] * 4
+    assert len(pickle.dumps(problems)) < len(pickle.dumps(problems.grids)) + 8000
+    own = problems[:3]
+    with np.load(saved(own, tmp_path)) as file:
+        assert set(file) == {"about_format_2", maps, "starts", "goals"}
+    with np.load(saved(problems[[7, 4]], tmp_path)) as file:
+        assert file[maps].shape == (1, 24, 24)
+        assert file["map_indices"].tolist() == [1, 1]
+        assert file["problem_numbers"].tolist() == [7, 4]
+
+
+@pytest.mark.parametrize("map_count", [1, 2])
+def test_maps_that_are_shared_take_the_memory_of_the_different_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, map_count: int
+) -> None:
+    """While a set is saved, loaded, copied, divided, served and scored."""
+    count, side = 150, 128
+    monkeypatch.setattr("mapdata.problems.problem_set._PART_CELLS", 2**17)
+    monkeypatch.setattr("mapdata.datasets.dataset.keep_freed_memory", lambda: None)
+    problems = walled(count, map_count, side)
+    paths = problems.optimal
+    path = tmp_path / "set.npz"
+    steps: list[Callable[[], object]] = [
+        lambda: problems.save(path),
+        lambda: ProblemSet.load(path),
+        lambda: ProblemSet.verify(path),
+        lambda: pickle.loads(pickle.dumps(problems)),
+        lambda: copy.deepcopy(problems),
+        lambda: problems[1:],
+        lambda: repr(problems[5:]),
+        lambda: ProblemSetDataset(problems)[:8],
+        lambda: score_paths(problems, paths, bootstrap=1),
+        lambda: problems.hardness,
+    ]
+    for step in steps:
+        tracemalloc.start()
+        step()
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert peak < count * side * side / 2
+    assert path.stat().st_size < 50_000
+
+
+def test_a_shared_map_stays_shared(tmp_path: Path) -> None:
+    """Loaded, pickled and divided sets repeat the one map, also if it was given many times."""
+    problems = walled(30, 1)
+    copies = [
+        problems,
+        ProblemSet.load(saved(problems, tmp_path)),
+        pickle.loads(pickle.dumps(problems)),
+        copy.copy(problems),
+        copy.deepcopy(problems),
+        problems[3:9],
+    ]
+    for one in copies:
+        assert one.grids.strides[0] == 0
+        assert one.map_indices.tolist() == [0] * len(one)
+        assert one.map_count == 1
+
+
+def test_a_problem_on_several_maps_is_refused_by_its_number(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In whichever part it is searched."""
+    monkeypatch.setattr("mapdata.problems.problem_set._PART_CELLS", 3 * 24 * 24)
+    problems = walled(12, 2)
+    starts = problems.starts.copy()
+    starts[7] = 12, 5
+    with pytest.raises(ValueError, match=r"^problem 7: start: \(12, 5\) is on an occupied cell"):
+        ProblemSet(problems.grids, starts, problems.goals, Movement(8))
+    whole = ProblemSet(problems.grids, problems.starts, problems.goals, Movement(8)).optimal
+    for k, problem in enumerate(problems.optimal.offsets[:-1]):
+        assert whole.offsets[k] == problem
+    alone = [problems[[k]] for k in range(12)]
+    for k, one in enumerate(alone):
+        again = ProblemSet(one.grids, one.starts, one.goals, Movement(8)).optimal
+        np.testing.assert_array_equal(again.cells, one.optimal.cells)
+        assert again.cost[0] == whole.cost[k]
+        assert again.iterations[0] == whole.iterations[k]
+
+
+# --- formats -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", OLD_HASHES)
+def test_files_of_the_first_format_are_read(name: str, tmp_path: Path) -> None:
+    """With the same content hash; they are sound, and a map that is stored again is one map."""
+    path = OLD_SETS / f"{name}.npz"
+    problems = ProblemSet.load(path)
+    assert problems.content_hash == OLD_HASHES[name]
+    maps = {"own": [0, 1, 2, 3, 4, 5], "two": [0, 0, 0, 1], "one": [0, 0], "terrain": [0, 1, 2]}
+    assert problems.map_indices.tolist() == maps[name]
+    assert (problems.terrain is not None) == (name == "terrain")
+    assert ProblemSet.verify(path) == []
+    again = read_problems(saved(problems, tmp_path))
+    assert again.content_hash == OLD_HASHES[name]
+    assert again.description == problems.description
+    assert again.movement == problems.movement
+
+
+def test_a_newer_format_is_refused_by_name(tmp_path: Path) -> None:
+    """As an older version refuses this one: its name is in the message."""
+    path = saved(walled(4, 2), tmp_path)
+    with np.load(path) as file:
+        arrays = dict(file)
+    arrays["about_format_3"] = arrays.pop("about_format_2")
+    np.savez(path, **arrays)
+    says = r"set\.npz: holds no saved problems \(has format 3, expected 1 to 2: install a newer"
+    with pytest.raises(ValueError, match=says):
+        ProblemSet.load(path)
+    (fault,) = ProblemSet.verify(path)
+    assert "has format 3" in fault
+
+
+BAD_ARRAYS: dict[str, tuple[dict[str, Array], str]] = {
+    "fewer numbers": ({"map_indices": np.zeros(3, np.int64)}, r"map_indices has shape \(3,\)"),
+    "one map": ({"map_indices": np.zeros(4, np.int64)}, "holds 1 different numbers, expected 2"),
+    "negative": ({"map_indices": np.array([-1, 0, -1, 0])}, "none that is negative"),
+    "equal maps": ({"grids": np.zeros((2, 24, 24), np.uint8)}, "two of its maps are equal"),
+    "no map": ({"grids": np.zeros((0, 24, 24), np.uint8)}, "2 different numbers, expected 0"),
+    "flat": ({"grids": np.zeros((24, 24), np.uint8)}, "have shapes"),
+    "numbers of problems": (
+        {"problem_numbers": np.zeros((4, 1), int)},
+        "problem_numbers has shape",
+    ),
+}
+
+
+@pytest.mark.parametrize(("changes", "reason"), BAD_ARRAYS.values(), ids=BAD_ARRAYS)
+def test_arrays_that_do_not_fit_are_refused(
+    changes: dict[str, Array], reason: str, tmp_path: Path
+) -> None:
+    """By the name of the file."""
+    path = saved(walled(4, 2), tmp_path)
+    with np.load(path) as file:
+        arrays = dict(file)
+    np.savez(path, **arrays | changes)
+    with pytest.raises(ValueError, match=rf"set\.npz: holds no saved problems \(.*{reason}"):
+        ProblemSet.load(path)
+
+
+def test_the_limit_of_unpacking_counts_what_is_stored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One map for all problems is small; the same maps stored one by one are refused."""
+    monkeypatch.setattr("mapdata.problems.set_file._MAX_UNPACKED", 2**14)
+    problems = walled(300, 1, 64)
+    path = saved(problems, tmp_path)
+    assert len(ProblemSet.load(path)) == 300
+    with np.load(path) as file:
+        about = json.loads(str(file["about_format_2"]))
+        ends = {name: file[name] for name in ("starts", "goals")}
+    np.savez_compressed(path, about=json.dumps(about), grids=np.array(problems.grids), **ends)
+    with pytest.raises(ValueError, match=r"unpack to 1238400 bytes, expected at most"):
+        ProblemSet.load(path)
+
+
+# --- damage --------------------------------------------------------------------------------------
+
+
+def flipped(content: bytes, bit: int) -> bytes:
+    """Return bytes with one bit flipped."""
+    changed = bytearray(content)
+    changed[bit // 8] ^= 1 << bit % 8
+    return bytes(changed)
+
+
+def check_flips(path: Path, step: int) -> None:
+    """Check that `ProblemSet.verify` tells of each ``step``-th bit of a sound file in one line."""
+    content = path.read_bytes()
+    assert ProblemSet.verify(path) == []
+    for bit in range(0, 8 * len(content), step):
+        path.write_bytes(flipped(content, bit))
+        faults = ProblemSet.verify(path)
+        assert len(faults) == 1, bit
+        assert faults[0].startswith(f"{path}: ")
+        assert "\n" not in faults[0]
+
+
+def test_verify_finds_flipped_bits(tmp_path: Path) -> None:
+    """In all parts of the file: also those that no reader of zip archives looks at."""
+    check_flips(saved(walled(3, 2, 6), tmp_path), 131)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("terrain", [False, True])
+def test_verify_finds_every_flipped_bit(tmp_path: Path, *, terrain: bool) -> None:
+    """Without an exception."""
+    check_flips(saved(walled(3, 2, 6, terrain=terrain), tmp_path), 1)
+
+
+def test_verify_finds_truncation_and_other_writers(tmp_path: Path) -> None:
+    """What another program wrote has no hash; what lacks its end has none that fits."""
+    path = saved(walled(3, 2, 6), tmp_path)
+    content = path.read_bytes()
+    for size in (0, 1, 100, len(content) - 1):
+        path.write_bytes(content[:size])
+        assert len(ProblemSet.verify(path)) == 1
+    path.write_bytes(content + b"\0")
+    assert len(ProblemSet.verify(path)) == 1
+    path.write_bytes(content)
+    with np.load(path) as file:
+        np.savez(path, **file)
+    says = "damaged, or written by another program (its file hash does not fit)"
+    assert ProblemSet.verify(path) == [f"{path}: {says}"]
+    with pytest.raises(FileNotFoundError):
+        ProblemSet.verify(tmp_path / "none.npz")
+
+
+def test_the_file_is_an_ordinary_archive(tmp_path: Path) -> None:
+    """Zip programs test it without complaint."""
+    with zipfile.ZipFile(saved(walled(3, 2, 6), tmp_path)) as archive:
+        assert archive.testzip() is None
+        assert archive.comment.startswith(b"mapdata sha256 ")
+
+
+# --- subsets -------------------------------------------------------------------------------------
+
+SELECTIONS: dict[str, Any] = {
+    "slice": slice(2, 11, 3),
+    "reversed": slice(None, None, -1),
+    "list": [5, 0, 5, -1],
+    "array": np.array([3, 9], np.int16),
+    "mask": np.arange(12) % 5 == 1,
+    "list of bools": [True, False] * 6,
+    "none": [],
+    "no mask": np.zeros(12, bool),
+    "all": slice(None),
+}
+
+
+@pytest.mark.parametrize("indices", SELECTIONS.values(), ids=SELECTIONS)
+@pytest.mark.parametrize("terrain", [False, True])
+def test_a_subset_is_what_numpy_selects(indices: Any, *, terrain: bool) -> None:
+    """Rows of all arrays, and the paths that the set has found already."""
+    problems = walled(12, 3, terrain=terrain)
+    subset = problems[indices]
+    rows = np.arange(12)[indices]
+    names = ["grids", "starts", "goals", "map_indices", "problem_numbers", "hardness", "hard"]
+    for name in names + ["terrain"] * terrain:
+        np.testing.assert_array_equal(getattr(subset, name), getattr(problems, name)[rows])
+    assert (len(subset), subset.movement, subset.map_size) == (len(rows), Movement(8), (24, 24))
+    for k, row in enumerate(rows):
+        for paths, number in ((subset.optimal, k), (problems.optimal, row)):
+            assert paths.cells[paths.offsets[number]].tolist() == problems.starts[row].tolist()
+        assert subset.optimal.cost[k] == problems.optimal.cost[row]
+    costs = subset.terrain
+    rebuilt = ProblemSet(subset.grids, subset.starts, subset.goals, subset.movement, terrain=costs)
+    assert subset.content_hash == rebuilt.content_hash
+    for one, other in zip(subset.optimal, rebuilt.optimal, strict=True):
+        np.testing.assert_array_equal(one, other)
+    grids, terrains = problems.maps_of(indices)
+    np.testing.assert_array_equal(grids, subset.grids)
+    assert (terrains is not None) == terrain
+
+
+def test_a_subset_of_a_subset_keeps_the_numbers_of_the_whole() -> None:
+    """However often it is divided."""
+    problems = walled(12, 3)
+    assert problems[4:][[1, 6]].problem_numbers.tolist() == [5, 10]
+    assert problems[4:][[1, 6]].map_indices.tolist() == [2, 1]
+
+
+@pytest.mark.parametrize(
+    ("indices", "error", "reason"),
+    [
+        (3, TypeError, r"got 3, expected a slice, .*; \[\[3\]\] is the set of this problem"),
+        ([0.5], TypeError, r"got \[0\.5\], expected a slice"),
+        ([[1, 2]], TypeError, "expected a slice"),
+        ("ab", TypeError, "expected a slice"),
+        ([12], IndexError, "index 12 is out of bounds"),
+        ([-13], IndexError, "out of bounds"),
+        (np.ones(11, bool), IndexError, "boolean index did not match"),
+    ],
+)
+def test_what_selects_no_problems_is_refused(
+    indices: Any, error: type[Exception], reason: str
+) -> None:
+    """An integer, which might mean a problem or a set; other numbers, and problems beyond."""
+    with pytest.raises(error, match=reason):
+        walled(12, 3)[indices]
+
+
+def test_the_maps_of_a_set_cannot_be_written_to() -> None:
+    """Also those that are made when they are first used, and those of subsets."""
+    problems = walled(12, 3, terrain=True)
+    for one in (problems, problems[2:], problems[[1]], pickle.loads(pickle.dumps(problems))):
+        arrays: list[Bytes] = [one.grids, one.starts, one.map_indices, one.problem_numbers]
+        assert one.terrain is not None
+        for array in (*arrays, one.terrain):
+            with pytest.raises(ValueError, match="read-only"):
+                array[:] = 0
+        assert one.grids is one.grids
+    with pytest.raises(AttributeError, match="no attribute 'grid'"):
+        _ = problems.grid  # type: ignore[attr-defined]
