@@ -94,8 +94,14 @@ def test_missing_truncated_and_strange_files_are_named(exports: Path, tmp_path: 
 
 
 def test_arrays_of_another_type_or_shape_are_named(exports: Path, tmp_path: Path) -> None:
-    """Also if somebody adapts the hashes of the numbers."""
+    """As is another spelling of the same type, which is another bit of the header."""
     folder = Path(shutil.copytree(exports / "arrays", tmp_path / "copy"))
+    grids = folder / "train/map.npy"
+    content = grids.read_bytes()
+    grids.write_bytes(content.replace(b"|u1", b"<u1"))
+    says = "damaged (the hash of its header does not fit)"
+    assert verify_export(folder) == [f"{grids}: {says}"]
+    grids.write_bytes(content)
     starts = folder / "train/start.npy"
     np.save(starts, np.load(starts).astype(np.int32))
     says = "holds int32 of shape [2, 2], export.json says int64 of shape [2, 2]"

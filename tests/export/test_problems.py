@@ -245,9 +245,9 @@ def test_max_length_beside_a_band_keeps_the_smaller_bound(
     lengths = (np.load(tmp_path / "out/train/path.npy")[:, :, 0] >= 0).sum(axis=1)
     assert lengths.min() >= 8
     assert lengths.max() <= written[1]
-    assert about(tmp_path / "out")["options"]["problems"] == plain_text(
-        Random(length=tuple(written))
-    )
+    shortest, longest = written
+    stated = about(tmp_path / "out")["options"]["problems"]
+    assert stated == plain_text(Random(length=(shortest, longest)))
 
 
 def test_only_the_training_split_is_augmented(tmp_path: Path) -> None:

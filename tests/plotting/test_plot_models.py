@@ -44,7 +44,7 @@ def test_samples_without_a_map_and_empty_batches_are_refused(tmp_path: Path) -> 
     root = build_small(tmp_path / "d")
     with pytest.raises(ValueError, match=r"got Sample\(start=.*, expected one sample, or more"):
         plot_sample(MapDataset(root, fields=("start",))[0])
-    with pytest.raises(ValueError, match=r"got Sample\(map=uint8 \(0, 1, 20, 20\)"):
+    with pytest.raises(ValueError, match="sample: got a batch without problems"):
         plot_sample(MapDataset(root)[0:0])
     with pytest.raises(ValueError, match=r"got Sample\(map=uint8 \(3, .* more without axes"):
         plot_sample(MapDataset(root)[:3], plot_sample(MapDataset(root)[0]))
