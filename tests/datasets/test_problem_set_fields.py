@@ -259,8 +259,8 @@ def test_a_map_that_is_stored_reflected_has_a_picture_of_its_own() -> None:
     assert problems.terrain is not None
     reflected = ProblemSet(
         problems.grids[:, ::-1],
-        problems.starts * [-1, 1] + [SIDE - 1, 0],
-        problems.goals * [-1, 1] + [SIDE - 1, 0],
+        abs(problems.starts - np.array([SIDE - 1, 0])),
+        abs(problems.goals - np.array([SIDE - 1, 0])),
         MOVEMENT,
         terrain=problems.terrain[:, ::-1],
     )
