@@ -32,6 +32,9 @@ CARD = "README.md"
 
 FORMAT_VERSION = 2
 
+_NEW_ENTRIES = ("format_version", "header_hashes", "file_hashes", "hash")
+"""The entries that exports of mapdata 0.2 do not have."""
+
 _NOT_OURS = "no file of this export: keep it elsewhere"
 
 
@@ -78,13 +81,15 @@ def verify_export(folder: StrPath) -> list[str]:
     faults = []
     try:
         about = parsed_json(str(path), text)
-        version = about.get("format_version", 1)
-        if version not in (1, FORMAT_VERSION):
+        # Damage to the number itself must not make an export pass for one of mapdata 0.2.
+        is_first = about.keys().isdisjoint(_NEW_ENTRIES)
+        version = about.get("format_version", FORMAT_VERSION)
+        if not is_first and version != FORMAT_VERSION:
             return [
                 f"{path}: has format_version {version!r}, expected 1 to {FORMAT_VERSION}: install "
                 "a newer version of mapdata"
             ]
-        if version == FORMAT_VERSION:
+        if not is_first:
             entries = {name: entry for name, entry in about.items() if name != "hash"}
             if text != provenance_text(entries).encode():
                 return [f"{path}: damaged (its hash does not fit)"]
@@ -98,7 +103,7 @@ def verify_export(folder: StrPath) -> list[str]:
                 faults += _faults(folder, name, _content_fault, stated, header_hashes.get(name))
         for name, stated in file_hashes.items():
             faults += _faults(folder, name, _file_fault, stated)
-        if version == FORMAT_VERSION:
+        if not is_first:
             known = {*about["files"], *file_hashes}
             faults += [
                 f"{path}: {_NOT_OURS}"

@@ -65,6 +65,10 @@ def test_flipped_bits_are_found(name: str, exports: Path, tmp_path: Path) -> Non
     if (folder / "README.md").exists():
         (folder / "README.md").write_text("mine")
     check_flips(folder, 3)
+    about = folder / "export.json"
+    text = about.read_text()
+    about.write_text(text.replace('"format_version"', '"format_versinn"'))
+    assert verify_export(folder) == [f"{about}: damaged (its hash does not fit)"]
 
 
 @pytest.mark.slow
