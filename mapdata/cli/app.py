@@ -276,7 +276,7 @@ def verify_command(root: list[str], *, repair: bool = False, follow_links: bool 
         raise DisagreeError(f"{unrepaired_count} of {fault_count} not repaired")
     if 0 < unrepaired_count == link_count:
         raise DisagreeError("files that are links out of their folder were not read")
-    if fault_count > other_fault_count:
+    if unrepaired_count > other_fault_count:
         raise DisagreeError(
             f"{fault_count} faults found; --repair builds shards again if there is a recipe"
             f"{requirement}"

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from mapdata.hashing import json_hash, parsed_json, sha256_hex
-from mapdata.npy import Npz, StoredArray, open_npy
+from mapdata.npy import Npz, open_npy
 from mapdata.shards.files import StrPath, file_hash
 from mapdata.shards.manifest import path_in, provenance_text
 
@@ -52,7 +52,7 @@ def write_about(folder: Path, about: dict[str, Any]) -> None:
         if name not in about["files"]:
             file_hashes[name] = file_hash(path)
         elif path.suffix == ".npy":
-            header_hashes[name] = _header_hash(open_npy(path))
+            header_hashes[name] = _header_hash(path, _header_size(path))
     entries = {
         "format_version": FORMAT_VERSION,
         **about,
@@ -166,7 +166,7 @@ def _content_fault(
             f"holds {array.dtype.name} of shape {shape}, {ABOUT} says {stated['dtype']} of shape "
             f"{stated['shape']}"
         )
-    if header_hash is not None and _header_hash(array) != header_hash:
+    if header_hash is not None and _header_hash(array.path, array.offset) != header_hash:
         return "damaged (the hash of its header does not fit)"
     if array.sha256() != stated["sha256"]:
         return f"damaged (the hash in {ABOUT} does not fit)"
@@ -179,7 +179,22 @@ def _file_fault(folder: Path, name: str, stated: str) -> str | None:
     return None if fits else f"damaged (the hash in {ABOUT} does not fit)"
 
 
-def _header_hash(array: StoredArray) -> str:
+def _header_hash(path: Path, size: int) -> str:
     """Return the SHA-256 of the bytes of an ``.npy`` file before its numbers."""
-    with open(array.path, "rb") as file:
-        return sha256_hex(file.read(array.offset))
+    with open(path, "rb") as file:
+        return sha256_hex(file.read(size))
+
+
+def _header_size(path: Path) -> int:
+    """Return the number of bytes before the numbers of an ``.npy`` file that was just written.
+
+    They are 6 bytes of a name, 2 of a version, the length of a text, and the text. The length has 2
+    bytes in version 1 and 4 bytes in later ones.
+
+    Source: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html.
+    """
+    with open(path, "rb") as file:
+        version = file.read(8)[6]
+        length_size = 2 if version == 1 else 4
+        length = int.from_bytes(file.read(length_size), "little")
+    return 8 + length_size + length
