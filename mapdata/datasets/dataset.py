@@ -64,7 +64,6 @@ from mapdata.problems.sources import (
     problem_source,
 )
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
-from mapdata.problems.terrain_sampling import sample_terrain_problems
 from mapdata.search.api import check_cost
 from mapdata.search.footprint import inflate_all, without_occupied
 from mapdata.search.lattice import move_rule
@@ -546,18 +545,12 @@ class SampledProblemDataset(ProblemDataset):
             move_rule(self.movement),
         )
         # Without conditions the costs of cells do not matter, as no move costs less than 1.
+        terrain = None
         if self.has_terrain and problems.conditions != Random().conditions:
             terrain = _inflated_terrain(stored_maps, grids)
-            ends, cells, offsets, iterations, row, high_cost = sample_terrain_problems(
-                terrain, *arguments
-            )
-            check_cost(stored_maps.numbers, row, high_cost)
-        else:
-            ends, cells, offsets, iterations = sample_problems(grids, *arguments)
-        # Conditions on the path are tested by A*, whose paths need not be searched again.
-        has_paths = len(cells) > 0 and self.serving.search == "astar"
-        paths = Paths(cells, offsets, iterations) if has_paths else None
-        return SampledProblems(stored_maps, grids, ends, paths)
+        ends, row, high_cost = sample_problems(grids, terrain, *arguments)
+        check_cost(stored_maps.numbers, row, high_cost)
+        return SampledProblems(stored_maps, grids, ends, paths=None)
 
     def _as_batch(
         self,

@@ -25,7 +25,7 @@ from mapdata.movement import Movement
 from mapdata.problems.sampling import sample_problems, solve_pairs
 from mapdata.problems.set_file import StoredSet, different_maps, hash_fault, read_set, write_set
 from mapdata.problems.sources import Random, Route, Source, SourceLike, problem_source
-from mapdata.problems.terrain_sampling import sample_terrain_problems, solve_terrain_pairs
+from mapdata.problems.terrain_sampling import solve_terrain_pairs
 from mapdata.search.api import (
     BatchResult,
     as_grid,
@@ -862,10 +862,7 @@ def _sample_random(batch: _MapBatch, problems: Random, seed: int, movement: Move
         *problems.conditions,
         move_rule(movement),
     )
-    if batch.terrain is None:
-        ends, *_ = sample_problems(batch.grids, *arguments)
-        return ends
-    ends, _, _, _, failed, high_cost = sample_terrain_problems(batch.terrain, *arguments)
+    ends, failed, high_cost = sample_problems(batch.grids, batch.terrain, *arguments)
     check_cost(batch.indices, failed, high_cost)
     return ends
 

@@ -19,12 +19,13 @@ from mapdata.search.bitboard import (
     build_board,
     count_bits,
     flood_board,
-    has_direct_path,
+    flood_within,
     nth_cell,
     word_at,
 )
 from mapdata.search.kernels import (
     Scratch,
+    count_moves,
     new_scratch,
     shortest_costs,
     solve_loaded,
@@ -35,6 +36,8 @@ from mapdata.search.lattice import (
     ASTAR,
     CORNER_CUTTING,
     INFINITY,
+    MAX_PATH_COST,
+    NO_CORNER_CUTTING,
     NO_DIAGONALS,
     UNIT,
     CostWeights,
@@ -49,108 +52,121 @@ from mapdata.search.lattice import (
     position,
     split_cost,
 )
+from mapdata.search.terrain import (
+    PaddedTerrain,
+    cost_in_cells,
+    load_terrain,
+    shortest_terrain_costs,
+    terrain_astar,
+    terrain_heuristic,
+)
 
 
 @kernel
 def sample_problems(
     grids: Bytes,
+    terrains: Bytes | None,
     goals: Ints | None,
     seed: np.uint64,
     epoch: Int,
     indices: Ints,
-    draws: tuple[Int, Int],
+    attempts: tuple[Int, Int],
     min_distance: float,
     bands: Bands | None,
     rule: MoveRule,
-) -> tuple[Ints, Ints, Ints, Ints]:
-    """Sample a problem on each grid: a goal, then one of the starts that are far enough from it.
+) -> tuple[Ints, Int, Int]:
+    """Sample a problem on each map: a goal, then one of the starts that fit all conditions.
 
-    docs/format.md, section 6, fixes the draws. If there are further conditions, goal and start are
-    drawn until their path fulfils them, since searching one path is much faster than searching the
-    paths of all starts.
+    docs/format.md, section 6, fixes the draws. One flood around the goal gives the costs of all
+    cells, and with them their hardness. On maps without terrain the cost also gives the number of
+    cells of a path, so that no path is searched. On terrain, paths of the least cost may differ in
+    their number of cells, so A* searches the path of the start that was drawn; if it has too few or
+    too many cells, the next attempt draws goal and start anew.
 
     Args:
         grids: (B, H, W).
+        terrains: (B, H, W) costs of cells, 0 where ``grids`` are occupied; None without terrain.
         goals: (B, 2) cells; None if goals are drawn, too.
         seed: sampling seed.
         epoch: pass over the data.
         indices: (B,) number of each problem.
-        draws: number of the first draw that is tried on each grid, and of the first one that is
-            not.
+        attempts: number of the first attempt on each map, and of the first one that is not made.
         min_distance: smallest cost of a path from start to goal, at least 1, so that the goal is no
             start.
-        bands: as `Random.bands`; None if ``min_distance`` is the only condition. Then numba
-            compiles no search for a path.
+        bands: as `Random.bands`; None if ``min_distance`` is the only condition. If that is 1, too,
+            leave out ``terrains``: no move costs less than 1, so the problems are the same.
         rule: as `move_rule` returns it.
 
     Returns:
-        The start and the goal of each problem (B, 4), -1 if none was found; then the paths and
-        their expansions as from `solve_pairs`, all empty if ``bands`` is None.
+        The start and the goal of each problem (B, 4), -1 if none was found; the first problem whose
+        terrain has a cost that is too high to be exact, and this doubled cost. They are B and 0 if
+        all costs are exact; otherwise the problems from that one on are not sampled.
     """
     lattice = lattice_of(grids.shape[1:], rule)
     scratch = new_scratch(ASTAR, lattice)
     count = len(grids)
     ends = np.full((count, 4), -1)
-    offsets = np.zeros(count + 1, np.int64)
-    expansions = np.zeros(count, np.int64)
-    cells = np.empty((64 * count + 64, 2), np.int64)
+    if terrains is not None:
+        cell_costs = np.zeros(lattice.cells, np.uint8)
+    elif bands is not None:
+        limits = _level_limits(5 * sum(grids.shape[1:]) // 4, min_distance, bands, lattice)
     for b in range(count):
-        used = offsets[b]
-        offsets[b + 1] = used
         board = build_board(grids[b])
         free_cells = count_bits(board.free, 0, len(board.free))
         if free_cells < 2:
             continue
-        for draw in range(*draws):
+        if goals is not None:
+            goal = (goals[b, 0], goals[b, 1])
+            if goal[0] < 0 or grids[b, goal[0], goal[1]]:
+                continue
+        if terrains is not None:
+            padded = load_terrain(terrains[b], lattice, cell_costs, scratch.came_from)
+        for attempt in range(*attempts):
             goal_random, start_random, _, _ = block(
-                seed, np.uint64(indices[b]), epoch, PROBLEM, draw
+                seed, np.uint64(indices[b]), epoch, PROBLEM, attempt
             )
             if goals is None:
                 number = bounded(goal_random, 0, free_cells - 1)
                 goal = nth_cell(board.free, board.stride, number)
-            else:
-                goal = (goals[b, 0], goals[b, 1])
-                if goal[0] < 0 or grids[b, goal[0], goal[1]]:
-                    break
-            goal_cell = cell_at(goal[0], goal[1], lattice)
-            goal_word = word_at(goal[0], goal[1], board.stride)
-            goal_bit = bit_at(goal[1])
-            if min_distance == 1 and board.reached[goal_word] & goal_bit:
-                # An earlier draw has found the cells that are connected to this goal. All but the
-                # goal itself are starts.
-                board.reached[goal_word] ^= goal_bit
-            else:
-                _reach_starts(grids[b], goal, goal_cell, min_distance, lattice, scratch, board)
-            start_count = count_bits(board.reached, 0, len(board.free))
-            if start_count:
-                # All starts are equally probable, numbered in row-major order.
-                number = bounded(start_random, 0, start_count - 1)
-                start = nth_cell(board.reached, board.stride, number)
-                length = 0
-                if bands is not None:
-                    length, expansions[b] = _search_within(
-                        bands, grids[b], start, goal, goal_cell, lattice, scratch, board
+            # All attempts for a goal that is given have the same starts.
+            if goals is None or attempt == attempts[0]:
+                if terrains is not None:
+                    high_cost = _mark_terrain_starts(
+                        goal, min_distance, bands, padded, lattice, scratch, board
                     )
-                if length >= 0:
-                    ends[b, 0], ends[b, 1] = start
-                    ends[b, 2], ends[b, 3] = goal
-                    cells = with_capacity(cells, used, length)
-                    write_cells(scratch.came_from, goal_cell, lattice, cells[used : used + length])
-                    offsets[b + 1] = used + length
+                    if high_cost:
+                        return ends, b, high_cost
+                elif bands is None:
+                    _mark_far_starts(grids[b], goal, min_distance, lattice, scratch, board)
+                else:
+                    _mark_starts_within(
+                        grids[b], goal, min_distance, bands, limits, lattice, scratch, board
+                    )
+            start_count = count_bits(board.reached, 0, len(board.free))
+            if start_count == 0:
+                if goals is not None:
                     break
-            elif goals is not None:
-                break  # The only goal has no start.
-            # There was no start, or one whose path does not fit. The next draw has another goal, of
-            # which this goal may be the start.
-            board.reached[goal_word] |= goal_bit
-    return ends, cells[: offsets[count]], offsets, expansions
+                continue
+            # All starts are equally probable, numbered in row-major order.
+            number = bounded(start_random, 0, start_count - 1)
+            start = nth_cell(board.reached, board.stride, number)
+            if terrains is not None and bands is not None:
+                lengths = bands[2]
+                if lengths[0] > 2 or lengths[1] < np.inf:
+                    load_terrain(terrains[b], lattice, cell_costs, scratch.came_from)
+                    length = _terrain_path_length(start, goal, padded, lattice, scratch)
+                    if not lengths[0] <= length <= lengths[1]:
+                        continue
+            ends[b, 0], ends[b, 1] = start
+            ends[b, 2], ends[b, 3] = goal
+            break
+    return ends, count, np.int64(0)
 
 
 @kernel
-def _reach_starts(
+def _mark_far_starts(
     grid: Bytes,
     goal: tuple[Int, Int],
-    goal_cell: Int,
     min_distance: float,
     lattice: Lattice,
     scratch: Scratch,
@@ -161,7 +177,6 @@ def _reach_starts(
     Args:
         grid: (H, W).
         goal: (row, column).
-        goal_cell: the same as a padded cell.
         min_distance: smallest cost of such a path, in cells.
         lattice: of the map.
         scratch: memory for `shortest_costs`.
@@ -186,6 +201,7 @@ def _reach_starts(
     else:
         board.reached.fill(0)
     load(grid, scratch.came_from)
+    goal_cell = cell_at(row, column, lattice)
     shortest_costs(np.full(1, goal_cell), max_cost, lattice, scratch)
     optimal_moves = scratch.came_from
     optimal_moves[goal_cell] = 1  # The goal has no moves, but its cost is known, as theirs is.
@@ -199,52 +215,175 @@ def _reach_starts(
 
 
 @kernel
-def _search_within(
-    bands: Bands,
+def _level_limits(max_levels: Int, min_distance: float, bands: Bands, lattice: Lattice) -> Ints:
+    """Return the limits, for `flood_within`, that starts within ``bands`` meet.
+
+    A level of `flood_within` is a number of straight moves. Under 4 neighbours it is the cost of
+    its cells, and the distance on an empty map is their heuristic. So the cells that meet the
+    limits are the starts.
+
+    A diagonal move takes the place of two straight ones if it cuts no corner. So under 8 neighbours
+    the cost of a cell is less than its level by no more than a factor, and so is the heuristic less
+    than the distance on an empty map. There the limits are wider: all starts meet them.
+
+    Args:
+        max_levels: number of levels.
+        min_distance: smallest cost, in cells.
+        bands: as `Random.bands`.
+        lattice: of the map, without corner cutting.
+    """
+    distances, ratios, lengths = bands
+    least_cost = 1.0  # of a straight move, if diagonal moves take its place
+    least_moves = 1.0
+    if lattice.diagonals != NO_DIAGONALS:
+        least_cost = 0.7071 if lattice.diagonal_cost > UNIT else 0.5  # sqrt(2) / 2, rounded down
+        least_moves = 0.5
+    limits = np.zeros((max_levels, 2), np.int64)
+    for level in range(1, max_levels):
+        limits[level, 0] = 1
+        if (
+            level < min_distance
+            or least_cost * level > distances[1]
+            or level + 1 < lengths[0]
+            or least_moves * level + 1 > lengths[1]
+        ):
+            continue
+        # Rounding moves the quotients below by less than 1, and the loops correct that.
+        least = max(math.floor(min(least_cost * level / ratios[1], level)) - 1, 1)
+        while least <= level and least_cost * level / least > ratios[1]:
+            least += 1
+        most = level
+        if ratios[0] > 1:
+            most = min(math.floor(level / (least_cost * ratios[0])) + 1, level)
+            while most > 0 and level / (least_cost * most) < ratios[0]:
+                most -= 1
+        limits[level, 0] = least
+        limits[level, 1] = most
+    return limits
+
+
+@kernel
+def _mark_starts_within(
     grid: Bytes,
-    start: tuple[Int, Int],
     goal: tuple[Int, Int],
-    goal_cell: Int,
+    min_distance: float,
+    bands: Bands,
+    limits: Ints,
     lattice: Lattice,
     scratch: Scratch,
     board: Board,
-) -> tuple[Int, Int]:
-    """Search the path of a problem, unless it is clear without a search that it does not fit.
+) -> None:
+    """Make ``board.reached`` the cells whose shortest path to ``goal`` is within all bands.
 
     Args:
-        bands: the limits of cost, of hardness and of the number of cells, both included.
         grid: (H, W).
-        start: (row, column), a cell from which a path leads to the goal.
         goal: (row, column).
-        goal_cell: the same as a padded cell.
+        min_distance: smallest cost, in cells, at least 1.
+        bands: as `Random.bands`.
+        limits: from `_level_limits`.
         lattice: of the map.
-        scratch: memory of the search.
+        scratch: memory for `shortest_costs`.
+        board: of the map.
+    """
+    row, column = goal
+    distances, ratios, lengths = bands
+    # Under 8 neighbours bits can only show that there is no start. They seldom do unless starts are
+    # far away.
+    asks_bits = lattice.diagonals == NO_DIAGONALS
+    if lattice.diagonals == NO_CORNER_CUTTING:
+        asks_bits = min_distance > 1 or lengths[0] > 2
+    if asks_bits and flood_within(row, column, limits, board):
+        has_starts = count_bits(board.reached, 0, len(board.reached)) > 0
+        if lattice.diagonals == NO_DIAGONALS or not has_starts:
+            return
+    # No cell that is farther away than this is a start, so the search can stop there.
+    most_moves_cost = (lengths[1] - 1) * (1.0 if lattice.diagonals == NO_DIAGONALS else 1.5)
+    max_cost = INFINITY
+    if min(distances[1], most_moves_cost) < MAX_PATH_COST:
+        max_cost = np.int64(math.floor(min(distances[1], most_moves_cost)) + 1)
+    load(grid, scratch.came_from)
+    shortest_costs(np.full(1, cell_at(row, column, lattice)), max_cost, lattice, scratch)
+    board.reached.fill(0)
+    for start_row in range(grid.shape[0]):
+        for start_column in range(grid.shape[1]):
+            cost = scratch.g[cell_at(start_row, start_column, lattice)]
+            if not 0 < cost < INFINITY:
+                continue
+            straight, diagonal = split_cost(cost)
+            distance = straight + diagonal * math.sqrt(2.0)
+            lower_bound = in_cells(heuristic(start_row - row, start_column - column, lattice))
+            if (
+                min_distance <= distance <= distances[1]
+                and ratios[0] <= distance / lower_bound <= ratios[1]
+                and lengths[0] <= count_path_cells(straight, diagonal) <= lengths[1]
+            ):
+                word = word_at(start_row, start_column, board.stride)
+                board.reached[word] |= bit_at(start_column)
+
+
+@kernel
+def _mark_terrain_starts(
+    goal: tuple[Int, Int],
+    min_distance: float,
+    bands: Bands | None,
+    padded: PaddedTerrain,
+    lattice: Lattice,
+    scratch: Scratch,
+    board: Board,
+) -> Int:
+    """Make ``board.reached`` the cells of terrain whose cost and hardness are within the bands.
+
+    Args:
+        goal: (row, column).
+        min_distance: smallest cost of a path to the goal, in cells, at least 1.
+        bands: as `Random.bands`, of which that of length is not considered; or None.
+        padded: the terrain.
+        lattice: of the map.
+        scratch: memory for `shortest_terrain_costs`.
         board: of the map.
 
     Returns:
-        The number of cells of the path, and the expansions; (-1, 0) if it is outside of a band.
+        0, or the least cost of a cell that is too high to be exact.
     """
-    distances, ratios, lengths = bands
-    lower_bound = heuristic(start[0] - goal[0], start[1] - goal[1], lattice)
-    min_cost: float = in_cells(lower_bound)
-    min_moves = sum(split_cost(lower_bound))
-    if min_cost > distances[1] or min_moves >= lengths[1]:
-        return -1, 0
-    # Most starts are too easy, which is faster to see without a search.
-    is_narrow = board.stride == 1
-    if ratios[0] > 1 and is_narrow and has_direct_path(start, goal, lattice, board.free):
-        return -1, 0
-    load(grid, scratch.came_from)
+    goal_cell = cell_at(goal[0], goal[1], lattice)
+    high_cost = shortest_terrain_costs(np.full(1, goal_cell), padded, lattice, scratch)
+    if high_cost:
+        return high_cost
+    board.reached.fill(0)
+    for cell in range(lattice.cells):
+        cost = cost_in_cells(scratch.g[cell], padded)
+        if cost < min_distance:
+            continue
+        row, column = position(cell, lattice)
+        if bands is not None:
+            distances, ratios, _ = bands
+            lower_bound = cost_in_cells(
+                terrain_heuristic(row - goal[0], column - goal[1], padded, lattice), padded
+            )
+            if cost > distances[1] or not ratios[0] <= cost / lower_bound <= ratios[1]:
+                continue
+        board.reached[word_at(row, column, board.stride)] |= bit_at(column)
+    return np.int64(0)
+
+
+@kernel
+def _terrain_path_length(
+    start: tuple[Int, Int],
+    goal: tuple[Int, Int],
+    padded: PaddedTerrain,
+    lattice: Lattice,
+    scratch: Scratch,
+) -> Int:
+    """Return the number of cells of the path by A* between two connected cells.
+
+    The map must be loaded in ``scratch.came_from``.
+    """
     start_cell = cell_at(start[0], start[1], lattice)
-    straight, diagonal, expansions, _ = solve_loaded(start_cell, goal_cell, ASTAR, lattice, scratch)
-    length = count_path_cells(straight, diagonal)
-    cost: float = in_cells(straight * UNIT + diagonal * lattice.diagonal_cost)
-    fits = (
-        cost <= distances[1]
-        and ratios[0] <= cost / min_cost <= ratios[1]
-        and lengths[0] <= length <= lengths[1]
-    )
-    return (length, expansions) if fits else (-1, 0)
+    goal_cell = cell_at(goal[0], goal[1], lattice)
+    # All costs are exact, as the search around the goal has shown, so that A* finds no high cost.
+    terrain_astar(start_cell, goal_cell, padded, lattice, scratch)
+    straight, diagonal = count_moves(scratch.came_from, start_cell, goal_cell, lattice)
+    return count_path_cells(straight, diagonal)
 
 
 @kernel

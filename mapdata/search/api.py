@@ -250,6 +250,8 @@ def solve_batch(
     """
     grid_stack, start_cells, goal_cells = _as_problems(grids, starts, goals)
     rule = move_rule(movement)
+    if weights == (1, 1.0):
+        weights = ASTAR
     if terrain is not None:
         terrain_stack = _as_terrain_stack(terrain, grid_stack)
         if weights != BFS:
@@ -552,7 +554,7 @@ def _search(
     rule = move_rule(movement)
     if terrain is not None:
         costs = as_terrain(terrain, array)
-        if weights == ASTAR:
+        if weights is ASTAR:
             return _search_on_terrain(costs, array, start_cell, goal_cell, movement)
     path, straight, diagonal, expansions = solve_problem(
         array, *start_cell, *goal_cell, weights, rule, _scratch_memory(array, rule)

@@ -209,47 +209,69 @@ def flood_board(row: Int, column: Int, max_levels: Int, board: Board) -> Int:
 
 
 @kernel
-def has_direct_path(
-    start: tuple[Int, Int], goal: tuple[Int, Int], lattice: Lattice, free: Words
-) -> Int:
-    """Return whether a path as short as on an empty map is found, on a board with one word a row.
+def flood_within(row: Int, column: Int, limits: Ints, board: Board) -> Int:
+    """Search level by level from (row, column), and keep the cells that are within ``limits``.
 
-    All such paths are followed at once, row by row from the western end to the eastern one. Only
-    diagonal moves that cut no corner are tried, and only as few as the heuristic counts. So under
-    movements other than 4 neighbours, or 8 without corner cutting at sqrt(2), some paths are
-    missed; but a path that is found always exists.
+    ``board.reached`` becomes the cells whose distance on an empty map, rows plus columns to (row,
+    column), is within the limits of their level. It is as exact as the limits are: under 4
+    neighbours a level is a cost, and its limits follow from a range of hardness.
 
     Args:
-        start: (row, column).
-        goal: (row, column).
-        lattice: of the map.
-        free: (words,) the free cells, from a `Board`.
+        row: where the search begins.
+        column: where the search begins.
+        limits: (levels, 2) the smallest and the largest distance that is kept of each level. No
+            cell of a level is kept whose smallest distance is above the largest one.
+        board: of the map.
+
+    Returns:
+        Whether no further cell can be reached. If there are more levels than ``limits`` has,
+        ``board.reached`` lacks their cells.
     """
-    if start[1] > goal[1]:
-        start, goal = goal, start
-    rows = goal[0] - start[0]
-    # With more rows than columns the straight moves of a direct path are vertical, else they are
-    # horizontal. Without diagonals they are both.
-    is_steep = lattice.diagonals and abs(rows) > goal[1] - start[1]
-    word = word_at(start[0], 0, 1)
-    last_word = word_at(goal[0], 0, 1)
-    # The cells of a row that direct paths from the start reach.
-    reached = bit_at(start[1])
-    while True:
-        row = free[word]
-        if not is_steep:
-            # Move eastward through free cells. A run of free cells is a run of ones. Adding a bit
-            # to it carries from that bit to the end of the run and clears all bits on the way.
-            reached |= row & ~(row + reached)
-        if word == last_word:
-            return (reached & bit_at(goal[1])) != 0
-        word += np.sign(rows)
-        # Move vertically, then, for diagonal moves, on to the east. Both cells beside the diagonal
-        # have to be free: the one in the next row, which was tested first, and the one in this row.
-        reached &= free[word]
-        if lattice.diagonals:
-            diagonally_reached = (reached << _ONE) & row & free[word]
-            reached = diagonally_reached | reached if is_steep else diagonally_reached
+    stride = board.stride
+    unseen = board.free.copy()
+    board.reached.fill(0)
+    levels = np.zeros((2, len(unseen)), np.uint64)
+    current = levels[0]
+    following = levels[1]
+    first_word = word_at(row, column, stride)
+    last_word = first_word
+    current[first_word] = bit_at(column)
+    unseen[first_word] ^= current[first_word]
+    for level in range(1, len(limits)):
+        first_word, last_word = _next_level(
+            current, following, unseen, first_word, last_word, stride, board.carry
+        )
+        if first_word > last_word:
+            break
+        least = limits[level, 0]
+        most = limits[level, 1]
+        if least <= 1 and most >= level:  # No cell of the level is farther away on an empty map.
+            for k in range(first_word, last_word + 1):
+                board.reached[np.uint64(k)] |= following[np.uint64(k)]
+        elif least <= most:
+            for word_row in range(first_word // stride, last_word // stride + 1):
+                rows = abs(word_row - _MARGIN - row)
+                for part in range(stride):
+                    k = np.uint64(word_row * stride + part)
+                    columns = column - WORD * part
+                    kept = _bits_within(columns, most - rows)
+                    kept &= ~_bits_within(columns, least - 1 - rows)
+                    board.reached[k] |= following[k] & kept
+        current, following = following, current
+    return first_word > last_word
+
+
+@inlined
+def _bits_within(column: Int, distance: Int) -> Int:
+    """Return a word of the bits that are at most ``distance`` away from bit ``column``.
+
+    ``column`` may lie outside of the word, and there are no such bits if ``distance`` is negative.
+    """
+    low = max(column - distance, 0)
+    high = min(column + distance, WORD - 1)
+    if low > high:
+        return _NO_BITS
+    return (_ALL_BITS << np.uint64(low)) & (_ALL_BITS >> np.uint64(WORD - 1 - high))
 
 
 @kernel

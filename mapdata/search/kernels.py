@@ -37,7 +37,6 @@ from mapdata.arrays import Bytes, Float32s, Ints, UInt32s
 from mapdata.jit import Int, inlined, kernel
 from mapdata.movement import STEPS
 from mapdata.search.lattice import (
-    ASTAR,
     BFS,
     CLOSED,
     CORNER_CUTTING,
@@ -664,7 +663,9 @@ def new_scratch(weights: CostWeights, lattice: Lattice) -> Scratch:
     call.
     """
     # BFS pushes a cell once, the other searches at most once from each neighbour.
-    max_pushes_per_cell = 1 if weights == BFS else len(lattice.offsets)
+    max_pushes_per_cell = len(lattice.offsets)
+    if weights is not None and weights == BFS:
+        max_pushes_per_cell = 1
     size = scratch_bytes(max_pushes_per_cell, lattice.cells)
     return scratch_view(np.empty(size, np.uint8), lattice)
 
@@ -688,17 +689,19 @@ def solve_loaded(
     """
     if scratch.came_from[start] == WALL or scratch.came_from[goal] == WALL:
         return -1, 0, 0, 1
+    if weights is None:  # A*: numba leaves out the searches below.
+        if lattice.diagonals == NO_DIAGONALS:
+            expansions, pushes = astar_manhattan(start, goal, lattice, scratch)
+        else:
+            expansions, pushes = best_first_buckets(start, goal, lattice, scratch)
+        straight, diagonal = count_moves(scratch.came_from, start, goal, lattice)
+        return straight, diagonal, expansions, pushes
     if weights == BFS:
         queue_length = flood(start, np.full(1, goal), lattice, scratch)
         expansions = expansions_until(scratch.pushed, queue_length, goal)
         straight, diagonal = count_moves(scratch.came_from, start, goal, lattice)
         return straight + diagonal, 0, expansions, np.int64(1)
-    if weights != ASTAR:
-        expansions, pushes = best_first_heap(start, goal, weights, lattice, scratch)
-    elif lattice.diagonals == NO_DIAGONALS:
-        expansions, pushes = astar_manhattan(start, goal, lattice, scratch)
-    else:
-        expansions, pushes = best_first_buckets(start, goal, lattice, scratch)
+    expansions, pushes = best_first_heap(start, goal, weights, lattice, scratch)
     straight, diagonal = count_moves(scratch.came_from, start, goal, lattice)
     return straight, diagonal, expansions, pushes
 
@@ -768,10 +771,13 @@ def solve_problems(
     offsets = np.zeros(count + 1, np.int64)
     cells = np.empty((64 * count + 64, 2), np.int64)
     used = 0
+    is_bfs = False
+    if weights is not None:
+        is_bfs = weights == BFS
     for b in range(count):
         grid = grids[b if len(grids) > 1 else 0]
         # A* wipes what it wrote. BFS touches most of a grid, so that copying it anew costs less.
-        must_load = b == 0 or len(grids) > 1 or weights == BFS
+        must_load = b == 0 or len(grids) > 1 or is_bfs
         if must_load and not load(grid, scratch.came_from):
             return cells, moves, expansions, offsets, b
         if not is_usable_end(grid, starts[b], max_end_state) or not is_usable_end(
@@ -788,7 +794,7 @@ def solve_problems(
         write_cells(scratch.came_from, goal, lattice, cells[used : used + length])
         used += length
         offsets[b + 1] = used
-        if weights != BFS:
+        if not is_bfs:
             wipe(scratch, pushes)
     return cells[:used], moves, expansions, offsets, count
 

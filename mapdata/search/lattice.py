@@ -79,14 +79,19 @@ NO_CORNER_CUTTING = 1
 CORNER_CUTTING = 2
 """Value of ``diagonals`` where diagonal moves may pass between or beside occupied cells."""
 
-CostWeights: TypeAlias = tuple[Int, float]
+CostWeights: TypeAlias = tuple[Int, float] | None
 """The weights (g_weight, h_weight) of a best-first search: f = g_weight * g + h_weight * h.
 
 Like `MoveRule` it is a plain tuple: to pass a NamedTuple from Python to a kernel costs 2 us a call,
 a third of a short search.
 """
 
-ASTAR: CostWeights = (1, 1.0)
+ASTAR: CostWeights = None
+"""Stands for A*, whose weights are both 1.
+
+None has a type of its own, so numba leaves all other searches out of a kernel that is called with
+it. To compile them takes seconds, and most callers need none of them.
+"""
 
 BFS: CostWeights = (-1, 0.0)
 """Stands for breadth-first search, which has no f; kernels only compare it with other weights."""

@@ -41,7 +41,6 @@ from mapdata.search.kernels import (
     write_moves,
 )
 from mapdata.search.lattice import (
-    ASTAR,
     CLOSED,
     CORNER_CUTTING,
     DIAGONAL,
@@ -587,7 +586,7 @@ def solve_on_terrain(
         offsets[b + 1] = used
         if cell_costs[start] == 0 or cell_costs[goal] == 0:
             continue
-        if weights == ASTAR:
+        if weights is None:  # A*: numba leaves out the other search.
             expansions[b], pushes, high_cost = terrain_astar(start, goal, padded, lattice, scratch)
         else:
             expansions[b], pushes, high_cost = terrain_best_first(

@@ -383,13 +383,11 @@ def reference_problem(
     only_goal: Cell | None = None,
     terrain: Grid | None = None,
 ) -> ReferenceProblem | None:
-    """Draw goals, and for each a start that is far enough, until all bands are met.
+    """Draw goals, and for each one of the starts that meet all bands, until a goal has a start.
 
-    On terrain the number of a path's cells does not follow from its cost, so A* counts them.
+    On terrain the number of a path's cells does not follow from its cost, so A* counts them after
+    the draw.
     """
-    factor = 1
-    if terrain is not None:
-        factor = 2 * min(value for row in terrain for value in row if value > 0)
     if only_goal is not None and not is_free(grid, only_goal):
         return None
     known: dict[Cell, dict[Cell, Pair]] = {}
@@ -401,28 +399,50 @@ def reference_problem(
         if goal not in known:
             known[goal] = reference_distances(grid, goal, movement, terrain)
         costs = known[goal]
-        nearest, _ = bands[0]
-        starts = [
-            cell
-            for cell in free
-            if cell != goal
-            and cell in costs
-            and as_float(costs[cell], movement, terrain) >= nearest
-        ]
+        starts = starts_within(grid, goal, costs, bands, movement, terrain)
         if not starts:
             continue
         start = starts[bounded(words[1], 0, len(starts) - 1)]
-        distance = as_float(costs[start], movement, terrain)
-        lower_bound = heuristic(start, goal, movement, factor)
-        hardness = distance / as_float(lower_bound, movement, terrain)
-        if terrain is None:
-            length = sum(costs[start]) + 1
-        else:
+        if terrain is not None:
+            lowest, highest = bands[2]
             length = len(reference_astar(grid, start, goal, movement, terrain).path)
-        values = zip((distance, hardness, length), bands, strict=True)
-        if all(low <= value <= high for value, (low, high) in values):
-            return ReferenceProblem(start, goal, costs[start])
+            if not lowest <= length <= highest:
+                continue
+        return ReferenceProblem(start, goal, costs[start])
     return None
+
+
+def starts_within(
+    grid: Grid,
+    goal: Cell,
+    costs: dict[Cell, Pair],
+    bands: Sequence[Band],
+    movement: Movement,
+    terrain: Grid | None = None,
+) -> list[Cell]:
+    """Return the cells, in row-major order, whose path to the goal meets all bands.
+
+    The costs are those of `reference_distances` to the goal. On terrain the band of length is left
+    out.
+    """
+    factor = 1
+    if terrain is not None:
+        factor = 2 * min(value for row in terrain for value in row if value > 0)
+    starts = []
+    for cell in sorted(costs):
+        if cell == goal or not is_free(grid, cell):
+            continue
+        distance = as_float(costs[cell], movement, terrain)
+        lower_bound = heuristic(cell, goal, movement, factor)
+        hardness = distance / as_float(lower_bound, movement, terrain)
+        values = [distance, hardness]
+        if terrain is None:
+            values.append(sum(costs[cell]) + 1)
+        # Without a number of cells, the band of length is left out.
+        pairs = zip(values, bands, strict=False)
+        if all(low <= value <= high for value, (low, high) in pairs):
+            starts.append(cell)
+    return starts
 
 
 def first_bad_step(grid: Grid, path: Sequence[Cell], movement: Movement) -> int | None:

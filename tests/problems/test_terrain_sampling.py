@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from mapdata import Movement, Random, astar
 from mapdata.arrays import Bytes, Ints
 from mapdata.problems.sampling import sample_problems, solve_pairs
-from mapdata.problems.terrain_sampling import sample_terrain_problems, solve_terrain_pairs
+from mapdata.problems.terrain_sampling import solve_terrain_pairs
 from mapdata.search.lattice import ASTAR, move_rule
 
 DRAWS = (0, 32)
@@ -40,7 +40,8 @@ def sample(
     goals: Ints | None = None,
 ) -> Any:
     """Sample a problem on each terrain in epoch 3."""
-    return sample_terrain_problems(
+    return sample_problems(
+        (terrains == 0).astype(np.uint8),
         terrains,
         goals,
         np.uint64(seed),
@@ -72,10 +73,8 @@ def assert_equals_the_reference(
     movement: Movement,
     goals: Ints | None = None,
 ) -> None:
-    """Compare each problem with that of the slow reference, and its path with that of `astar`."""
-    ends, cells, offsets, expansions, refused, high_cost = sample(
-        terrains, seed, conditions, movement, goals
-    )
+    """Compare each problem with that of the slow reference."""
+    ends, refused, high_cost = sample(terrains, seed, conditions, movement, goals)
     assert (refused, high_cost) == (len(terrains), 0)
     for index, terrain in enumerate(terrains):
         truth = None
@@ -92,18 +91,10 @@ def assert_equals_the_reference(
                 only_goal=only_goal,
                 terrain=terrain.tolist(),
             )
-        path = cells[offsets[index] : offsets[index + 1]]
         if truth is None:
             assert ends[index].tolist() == [-1, -1, -1, -1]
-            assert len(path) == 0
-            continue
-        assert ends[index].tolist() == [*truth.start, *truth.goal]
-        if conditions.conditions[1] is None:
-            assert len(path) == 0
         else:
-            solution = astar(grid, truth.start, truth.goal, movement, terrain=terrain)
-            np.testing.assert_array_equal(path, solution.path)
-            assert expansions[index] == solution.iterations
+            assert ends[index].tolist() == [*truth.start, *truth.goal]
 
 
 @movements
@@ -134,12 +125,15 @@ def test_problems_on_terrain_with_fixed_goals_are_those_of_the_reference(
 
 @movements
 def test_problems_on_terrain_of_ones_are_those_without_terrain(movement: Movement) -> None:
-    """The same ends, paths and expansions, under conditions on distance, hardness and length."""
+    """The same starts and goals, under conditions on distance and hardness; on terrain, that on
+    length is tested after the draw.
+    """
     grids = (np.random.default_rng(2).random((20, 25, 30)) < 0.3).astype(np.uint8)
-    conditions = Random(distance=(8, 40), hardness=(1.02, 3), length=(5, 60))
+    conditions = Random(distance=(8, 40), hardness=(1.02, 3))
     with_terrain = sample(1 - grids, 9, conditions, movement)
     without = sample_problems(
         grids,
+        None,
         None,
         np.uint64(9),
         3,
@@ -157,7 +151,7 @@ def test_a_terrain_whose_costs_are_too_high_is_reported() -> None:
     """With its number and cost, so that the caller can name the map; earlier problems are there."""
     terrains = np.full((3, 1, 5000), 255, np.uint8)
     terrains[0] = 3
-    ends, _, _, _, refused, high_cost = sample(terrains, 1, Random((2, None)), Movement(8))
+    ends, refused, high_cost = sample(terrains, 1, Random((2, None)), Movement(8))
     assert (ends[0] >= 0).all()
     assert (ends[1:] == -1).all()
     assert refused == 1
@@ -173,6 +167,7 @@ def test_without_conditions_the_sampler_of_grids_gives_the_problems_of_terrain(
     ends, *_ = sample(terrains, 4, conditions, Movement(8))
     expected, *_ = sample_problems(
         (terrains == 0).astype(np.uint8),
+        None,
         None,
         np.uint64(4),
         3,

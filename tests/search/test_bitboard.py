@@ -14,9 +14,8 @@ from helpers import reference
 from helpers.grids import serpentine
 from helpers.reference import Cell
 from helpers.specs import MOVEMENTS, SIDES, movements
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as numpy_arrays
 
 from mapdata import MapSpec, Movement, generate, label
 from mapdata.arrays import Bytes
@@ -24,7 +23,8 @@ from mapdata.generators import pack
 from mapdata.search.bitboard import (
     build_board,
     count_bits,
-    has_direct_path,
+    flood_within,
+    nth_cell,
     write_optimal_moves,
 )
 from mapdata.search.kernels import new_scratch
@@ -133,65 +133,40 @@ def test_long_corridors(shape: tuple[int, int], movement: Movement) -> None:
     assert_moves_are_the_references(grid, goal, movement)
 
 
-def direct_cells(grid: Bytes, goal: Cell, movement: Movement) -> set[Cell]:
-    """Return the cells from which a search finds a direct path, one as on an empty map."""
-    lattice = lattice_of(grid.shape, move_rule(movement))
-    words = build_board(grid).free
-    cells = set()
-    for row, column in np.argwhere(grid == 0).tolist():
-        if has_direct_path((row, column), goal, lattice, words):
-            cells.add((row, column))
-    return cells
-
-
-def truly_direct_cells(grid: Bytes, goal: Cell, movement: Movement) -> set[Cell]:
-    """Return the cells whose exact cost to the goal, by Dijkstra, is that on an empty map."""
-    cells = set()
-    for cell, cost in reference.reference_distances(grid.tolist(), goal, movement).items():
-        on_an_empty_map = reference.heuristic(cell, goal, movement)
-        if reference.weigh(cost, movement) == reference.weigh(on_an_empty_map, movement):
-            cells.add(cell)
-    return cells
-
-
+@settings(max_examples=60)
 @given(
-    grid=numpy_arrays.arrays(
-        np.uint8,
-        st.tuples(st.integers(1, 9), st.integers(2, 9) | st.integers(63, 64)),
-        elements=st.sampled_from([0, 0, 0, 1]),
-    ),
-    data=st.data(),
-    movement=st.sampled_from([Movement(), Movement(8)]),
+    shape=st.tuples(st.integers(1, 7), SIDES | st.sampled_from([127, 128, 200])),
+    turned=st.booleans(),
+    density=st.sampled_from([0.0, 0.1, 0.3]),
+    seed=st.integers(0, 2**32),
+    levels=st.integers(2, 40) | st.just(600),
 )
-def test_easy_problems_are_known_without_a_search(
-    grid: Bytes, data: st.DataObject, movement: Movement
+def test_a_flood_keeps_the_cells_within_the_limits_of_their_level(
+    shape: tuple[int, int], turned: bool, density: float, seed: int, levels: int
 ) -> None:
-    """Direct are the cells at no more than the heuristic's distance, and those alone."""
-    free = np.argwhere(grid == 0).tolist()
-    assume(len(free))
-    row, column = data.draw(st.sampled_from(free))
-    direct = direct_cells(grid, (row, column), movement)
-    assert direct == truly_direct_cells(grid, (row, column), movement)
-
-
-@given(
-    grid=numpy_arrays.arrays(
-        np.uint8, st.tuples(st.integers(1, 7), st.integers(1, 7)), elements=st.integers(0, 1)
-    ),
-    movement=st.sampled_from(
-        [
-            Movement(8, corner_cutting=True),
-            Movement(8, diagonal_cost=1),
-            Movement(8, corner_cutting=True, diagonal_cost=1),
-        ]
-    ),
-)
-def test_direct_paths_are_paths_under_other_rules(grid: Bytes, movement: Movement) -> None:
-    """None is found wrongly; missed are at most those that cut corners or take more diagonal moves
-    than they need, so that Movement(8) has none of them.
-    """
-    for row, column in np.argwhere(grid == 0).tolist():
-        goal = (row, column)
-        direct = direct_cells(grid, goal, movement)
-        assert direct <= truly_direct_cells(grid, goal, movement)
-        assert direct >= truly_direct_cells(grid, goal, Movement(8))
+    """Limits at random, open ones and empty ones, on maps whose rows take one word or several."""
+    if turned:
+        shape = shape[::-1]
+    source = np.random.default_rng(seed)
+    row, column = (int(source.integers(side)) for side in shape)
+    grid = scattered(shape, density, (row, column), source)
+    limits = np.sort(source.integers(0, 12, (levels, 2)), axis=1)
+    numbers = np.arange(levels)
+    kind = source.integers(0, 4, levels)
+    limits[kind == 0] = (1, 10_000)
+    limits[kind == 1] = (1, 0)
+    limits[kind == 2, 1] = numbers[kind == 2]
+    board = build_board(grid)
+    is_complete = flood_within(row, column, limits, board)
+    costs = reference.reference_distances(grid.tolist(), (row, column), Movement())
+    kept = set()
+    for cell, (level, _) in costs.items():
+        distance = abs(cell[0] - row) + abs(cell[1] - column)
+        if 0 < level < levels and limits[level, 0] <= distance <= limits[level, 1]:
+            kept.add(cell)
+    reached = {
+        nth_cell(board.reached, board.stride, number)
+        for number in range(count_bits(board.reached, 0, len(board.reached)))
+    }
+    assert reached == kept
+    assert is_complete == (max(level for level, _ in costs.values()) < levels - 1)
