@@ -10,10 +10,12 @@ import math
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
+from mapdata.generators.maps import WORD
 from mapdata.jit import Int, kernel
 from mapdata.problems.sources import Bands
 from mapdata.rng import PROBLEM, block, bounded
 from mapdata.search.bitboard import (
+    ALL_BITS,
     Board,
     bit_at,
     build_board,
@@ -23,6 +25,7 @@ from mapdata.search.bitboard import (
     nth_cell,
     word_at,
 )
+from mapdata.search.jump_points import find_free_neighbours, jump_costs
 from mapdata.search.kernels import (
     Scratch,
     count_moves,
@@ -60,6 +63,8 @@ from mapdata.search.terrain import (
     terrain_astar,
     terrain_heuristic,
 )
+
+_LOWEST_BITS_TO_TOP_BYTE = np.uint64(0x0102040810204080)
 
 
 @kernel
@@ -109,6 +114,7 @@ def sample_problems(
     if terrains is not None:
         cell_costs = np.zeros(lattice.cells, np.uint8)
     elif bands is not None:
+        neighbours = np.zeros(lattice.cells, np.uint8)
         limits = _level_limits(5 * sum(grids.shape[1:]) // 4, min_distance, bands, lattice)
     for b in range(count):
         board = build_board(grids[b])
@@ -121,6 +127,9 @@ def sample_problems(
                 continue
         if terrains is not None:
             padded = load_terrain(terrains[b], lattice, cell_costs, scratch.came_from)
+        elif bands is not None and lattice.diagonals != NO_DIAGONALS:
+            load(grids[b], scratch.came_from)
+            find_free_neighbours(scratch.came_from, lattice, neighbours)
         for attempt in range(*attempts):
             goal_random, start_random, _, _ = block(
                 seed, np.uint64(indices[b]), epoch, PROBLEM, attempt
@@ -140,7 +149,15 @@ def sample_problems(
                     _mark_far_starts(grids[b], goal, min_distance, lattice, scratch, board)
                 else:
                     _mark_starts_within(
-                        grids[b], goal, min_distance, bands, limits, lattice, scratch, board
+                        grids[b],
+                        goal,
+                        min_distance,
+                        bands,
+                        limits,
+                        neighbours,
+                        lattice,
+                        scratch,
+                        board,
                     )
             start_count = count_bits(board.reached, 0, len(board.free))
             if start_count == 0:
@@ -269,6 +286,7 @@ def _mark_starts_within(
     min_distance: float,
     bands: Bands,
     limits: Ints,
+    neighbours: Bytes,
     lattice: Lattice,
     scratch: Scratch,
     board: Board,
@@ -281,44 +299,129 @@ def _mark_starts_within(
         min_distance: smallest cost, in cells, at least 1.
         bands: as `Random.bands`.
         limits: from `_level_limits`.
+        neighbours: (cells,) from `find_free_neighbours`, for maps with diagonal moves.
         lattice: of the map.
         scratch: memory for `shortest_costs`.
         board: of the map.
     """
-    row, column = goal
-    distances, ratios, lengths = bands
+    distances, _, lengths = bands
     # Under 8 neighbours bits can only show that there is no start. They seldom do unless starts are
     # far away.
     asks_bits = lattice.diagonals == NO_DIAGONALS
     if lattice.diagonals == NO_CORNER_CUTTING:
         asks_bits = min_distance > 1 or lengths[0] > 2
-    if asks_bits and flood_within(row, column, limits, board):
+    if asks_bits and flood_within(goal[0], goal[1], limits, board):
         has_starts = count_bits(board.reached, 0, len(board.reached)) > 0
         if lattice.diagonals == NO_DIAGONALS or not has_starts:
             return
     # No cell that is farther away than this is a start, so the search can stop there.
     most_moves_cost = (lengths[1] - 1) * (1.0 if lattice.diagonals == NO_DIAGONALS else 1.5)
-    max_cost = INFINITY
+    max_cost: Int = INFINITY
     if min(distances[1], most_moves_cost) < MAX_PATH_COST:
-        max_cost = np.int64(math.floor(min(distances[1], most_moves_cost)) + 1)
-    load(grid, scratch.came_from)
-    shortest_costs(np.full(1, cell_at(row, column, lattice)), max_cost, lattice, scratch)
-    board.reached.fill(0)
-    for start_row in range(grid.shape[0]):
-        for start_column in range(grid.shape[1]):
-            cost = scratch.g[cell_at(start_row, start_column, lattice)]
-            if not 0 < cost < INFINITY:
-                continue
-            straight, diagonal = split_cost(cost)
-            distance = straight + diagonal * math.sqrt(2.0)
-            lower_bound = in_cells(heuristic(start_row - row, start_column - column, lattice))
-            if (
-                min_distance <= distance <= distances[1]
-                and ratios[0] <= distance / lower_bound <= ratios[1]
-                and lengths[0] <= count_path_cells(straight, diagonal) <= lengths[1]
-            ):
-                word = word_at(start_row, start_column, board.stride)
-                board.reached[word] |= bit_at(start_column)
+        max_cost = max(math.floor(min(distances[1], most_moves_cost)) + 1, 0)
+    goal_cell = cell_at(goal[0], goal[1], lattice)
+    if lattice.diagonals == NO_DIAGONALS:
+        load(grid, scratch.came_from)
+        shortest_costs(np.full(1, goal_cell), max_cost, lattice, scratch)
+    else:
+        jump_costs(goal_cell, max_cost, neighbours, lattice, scratch)
+    _mark_costs_within(grid.shape, goal, min_distance, bands, lattice, scratch.g, board)
+
+
+@kernel
+def _mark_costs_within(
+    shape: tuple[Int, Int],
+    goal: tuple[Int, Int],
+    min_distance: float,
+    bands: Bands,
+    lattice: Lattice,
+    costs: Ints,
+    board: Board,
+) -> None:
+    """Make ``board.reached`` the cells whose ``costs`` to the goal, (cells,), are within all bands.
+
+    The exact test of `_is_within` takes longer than the flood, if it is made for every cell. An
+    approximate cost differs from the exact one by less than 1 part in 10^11, and so decides alone
+    for all cells but those that are as close to an end of a band.
+    """
+    distances, ratios, lengths = bands
+    margin = 1e-11
+    scale = 1.0 / UNIT
+    max_distance = min(distances[1], MAX_PATH_COST + 1.0)  # no path leads to the cells above that
+    wide_low = min_distance * (1 - margin)
+    wide_high = max_distance * (1 + margin)
+    wide_low_ratio = ratios[0] * (1 - margin)
+    wide_high_ratio = ratios[1] * (1 + margin)
+    narrow_low = min_distance * (1 + margin)
+    narrow_high = max_distance * (1 - margin)
+    narrow_low_ratio = ratios[0] * (1 + margin) if ratios[0] > 1 else 0.0  # none is below 1
+    narrow_high_ratio = ratios[1] * (1 - margin)
+    has_lengths = lengths[0] > 2 or lengths[1] < np.inf
+    # What a diagonal move costs more than a straight one. Without diagonals it is as if it cost 2.
+    extra = 1.0 if lattice.diagonals == NO_DIAGONALS else lattice.diagonal_cost * scale - 1
+    fits = np.zeros(WORD, np.uint8)
+    eight_fits = fits.view(np.uint64)
+    for row in range(shape[0]):
+        rows = abs(row - goal[0])
+        for first_column in range(0, shape[1], WORD):
+            first_cell = np.uint64(cell_at(row, first_column, lattice))
+            width = min(WORD, shape[1] - first_column)
+            is_close = np.uint8(0)
+            # Without branches, the compiler handles several cells at once.
+            for k in range(width):
+                i = np.uint64(k)
+                cost = costs[first_cell + i] * scale
+                columns = abs(first_column + k - goal[1])
+                bound = max(rows, columns) + min(rows, columns) * extra
+                is_in = (cost >= wide_low) & (cost <= wide_high)
+                is_in &= (cost >= wide_low_ratio * bound) & (cost <= wide_high_ratio * bound)
+                is_inside = (cost >= narrow_low) & (cost <= narrow_high)
+                is_inside &= (cost >= narrow_low_ratio * bound) & (
+                    cost <= narrow_high_ratio * bound
+                )
+                fits[i] = is_in
+                is_close |= np.uint8(is_in ^ is_inside)
+            word = np.uint64(0)
+            for k in range(WORD // 8):
+                # The top byte of this product is made of the lowest bits of all eight bytes.
+                byte = (eight_fits[np.uint64(k)] * _LOWEST_BITS_TO_TOP_BYTE) >> np.uint64(56)
+                word |= byte << np.uint64(8 * k)
+            word &= ALL_BITS >> np.uint64(WORD - width)  # older cells may be left behind these
+            if is_close or has_lengths:
+                for k in range(width):
+                    cost = costs[first_cell + np.uint64(k)]
+                    columns = first_column + k - goal[1]
+                    if word & bit_at(k) and not _is_within(
+                        cost, rows, columns, min_distance, bands, lattice
+                    ):
+                        word ^= bit_at(k)
+            board.reached[word_at(row, first_column, board.stride)] = word
+
+
+@kernel
+def _is_within(
+    cost: Int, rows: Int, columns: Int, min_distance: float, bands: Bands, lattice: Lattice
+) -> Int:
+    """Return whether a start is within all bands.
+
+    Args:
+        cost: from start to goal, in 1 / UNIT.
+        rows: how far the goal is away.
+        columns: how far the goal is away.
+        min_distance: smallest cost, in cells.
+        bands: as `Random.bands`.
+        lattice: of the map.
+    """
+    distances, ratios, lengths = bands
+    distance: float = in_cells(cost)
+    hardness = distance / in_cells(heuristic(rows, columns, lattice))
+    straight, diagonal = split_cost(cost)
+    length = count_path_cells(straight, diagonal)
+    return (
+        min_distance <= distance <= distances[1]
+        and ratios[0] <= hardness <= ratios[1]
+        and lengths[0] <= length <= lengths[1]
+    )
 
 
 @kernel

@@ -48,7 +48,7 @@ _NO_BITS = np.uint64(0)
 _ONE = np.uint64(1)
 _TWO = np.uint64(2)
 _TOP_BIT = np.uint64(63)
-_ALL_BITS = ~np.uint64(0)
+ALL_BITS = ~np.uint64(0)
 _EVEN_BITS = np.uint64(0x5555555555555555)
 _LOW_HALVES_OF_NIBBLES = np.uint64(0x3333333333333333)
 _LOW_HALVES_OF_BYTES = np.uint64(0x0F0F0F0F0F0F0F0F)
@@ -154,7 +154,7 @@ def build_board(grid: Bytes) -> Board:
         # At least one bit of each row belongs to no cell. It stops bits that are carried from the
         # end of a row to the next row.
         stride = columns // WORD + 1
-        carry = _ALL_BITS
+        carry = ALL_BITS
     sets = np.zeros((3, (rows + 2 * _MARGIN) * stride), np.uint64)
     flat = grid.reshape(-1)
     for row in range(rows):
@@ -229,10 +229,17 @@ def flood_within(row: Int, column: Int, limits: Ints, board: Board) -> Int:
     """
     stride = board.stride
     unseen = board.free.copy()
-    board.reached.fill(0)
+    reached = board.reached
+    reached.fill(0)
     levels = np.zeros((2, len(unseen)), np.uint64)
     current = levels[0]
     following = levels[1]
+    # For each word, how many rows it is away, and where in it ``column`` would be.
+    rows_away = np.empty(len(unseen), np.int64)
+    columns = np.empty(len(unseen), np.int64)
+    for k in range(len(unseen)):
+        rows_away[k] = abs(k // stride - _MARGIN - row)
+        columns[k] = column - WORD * (k % stride)
     first_word = word_at(row, column, stride)
     last_word = first_word
     current[first_word] = bit_at(column)
@@ -245,18 +252,16 @@ def flood_within(row: Int, column: Int, limits: Ints, board: Board) -> Int:
             break
         least = limits[level, 0]
         most = limits[level, 1]
-        if least <= 1 and most >= level:  # No cell of the level is farther away on an empty map.
+        if least <= most:
             for k in range(first_word, last_word + 1):
-                board.reached[np.uint64(k)] |= following[np.uint64(k)]
-        elif least <= most:
-            for word_row in range(first_word // stride, last_word // stride + 1):
-                rows = abs(word_row - _MARGIN - row)
-                for part in range(stride):
-                    k = np.uint64(word_row * stride + part)
-                    columns = column - WORD * part
-                    kept = _bits_within(columns, most - rows)
-                    kept &= ~_bits_within(columns, least - 1 - rows)
-                    board.reached[k] |= following[k] & kept
+                i = np.uint64(k)
+                near = _bits_within(columns[i], most - rows_away[i])
+                reached[i] |= following[i] & near
+        if 1 < least <= most:
+            for k in range(first_word, last_word + 1):
+                i = np.uint64(k)
+                too_near = _bits_within(columns[i], least - 1 - rows_away[i])
+                reached[i] &= ~(following[i] & too_near)
         current, following = following, current
     return first_word > last_word
 
@@ -267,11 +272,12 @@ def _bits_within(column: Int, distance: Int) -> Int:
 
     ``column`` may lie outside of the word, and there are no such bits if ``distance`` is negative.
     """
+    # Without branches, the compiler handles several words at once.
     low = max(column - distance, 0)
     high = min(column + distance, WORD - 1)
-    if low > high:
-        return _NO_BITS
-    return (_ALL_BITS << np.uint64(low)) & (_ALL_BITS >> np.uint64(WORD - 1 - high))
+    from_low = ALL_BITS << np.uint64(low & 63)
+    to_high = ALL_BITS >> np.uint64((WORD - 1 - high) & 63)
+    return from_low & to_high if low <= high else _NO_BITS
 
 
 @kernel
@@ -357,7 +363,7 @@ def bfs_labels_by_bits(
     Returns:
         The number of moves.
     """
-    row_mask = _ALL_BITS >> np.uint64(WORD - columns)
+    row_mask = ALL_BITS >> np.uint64(WORD - columns)
     seed_rows = seed_points[:, :, 0] + _MARGIN
     # Columns of -1, beyond the rooms, give bits that nothing reads.
     seed_bits = _ONE << (seed_points[:, :, 1] % WORD).astype(np.uint64)

@@ -18,6 +18,9 @@ of equal cost to a cell is kept. For take any cell and the last move of a path o
   by moves of equal cost of which the last is straight.
 
 So a scan reaches every cell at its least cost, or would if the search did not end at the goal.
+
+For the same reason `jump_costs` finds the costs of all cells, although it follows the same few
+moves.
 """
 
 from __future__ import annotations
@@ -26,10 +29,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Ints, UInt32s
+from mapdata.arrays import Bytes, Flags, Ints, UInt32s
 from mapdata.jit import Int, inlined, kernel
 from mapdata.search.kernels import (
     TOO_LONG,
+    Scratch,
     insert_in_heap,
     is_usable_end,
     remove_heap_top,
@@ -38,8 +42,11 @@ from mapdata.search.kernels import (
 )
 from mapdata.search.lattice import (
     CORNER_CUTTING,
+    INFINITY,
     MAX_PATH_COST,
+    NO_CORNER_CUTTING,
     UNIT,
+    UNIT_BITS,
     UNSEEN,
     WALL,
     Lattice,
@@ -367,3 +374,180 @@ def jump_to_goals(
         used += length
         offsets[b + 1] = used
     return cells[:used], moves, expansions, looks, offsets, count
+
+
+_STRAIGHT_MOVES = np.uint64(15)
+"""The set of the four straight moves."""
+
+_NO_MOVE = 8
+"""Stands for the move that led to the cell where `jump_costs` begins."""
+
+_SETTLED = 9
+"""Stands for the move that led to a cell whose neighbours `jump_costs` has seen."""
+
+_ZERO = np.uint64(0)
+_ONE = np.uint64(1)
+_BYTE = np.uint8(1)
+
+
+def _kept_moves(diagonals: int) -> Bytes:
+    """Return which moves follow a move, in paths that make their diagonal moves first.
+
+    Args:
+        diagonals: which diagonal moves are legal, as in `Lattice`.
+
+    Returns:
+        (9 * 256,) sets of moves, of which bit k is move k: for each last move, or `_NO_MOVE`, and
+        each set of free neighbours of the cell to which it led.
+    """
+    neighbours = np.arange(256)
+
+    def is_free(move: int) -> Flags:
+        return (neighbours >> move) % 2 == 1
+
+    legal = neighbours.copy()
+    if diagonals == NO_CORNER_CUTTING:
+        for part in range(4):
+            has_corner = ~(is_free(part) & is_free((part + 1) % 4))
+            legal[has_corner] &= ~(1 << (4 + part))
+    kept = np.zeros((9, 256), np.int64)
+    kept[_NO_MOVE] = 255
+    for move in range(4):
+        right = (move + 1) % 4
+        left = (move + 3) % 4
+        behind = (move + 2) % 4
+        # Diagonal move 4 + k lies between the straight moves k and k + 1.
+        kept[move] = 1 << move
+        for side, ahead, back in ((right, 4 + move, 4 + right), (left, 4 + left, 4 + behind)):
+            # The turns that `_scan_straight` calls forced.
+            if diagonals == CORNER_CUTTING:
+                kept[move][~is_free(side)] |= 1 << ahead
+            else:
+                kept[move][~is_free(back)] |= (1 << side) | (1 << ahead)
+        diagonal = 4 + move
+        kept[diagonal] = (1 << diagonal) | (1 << move) | (1 << right)
+        if diagonals == CORNER_CUTTING:
+            kept[diagonal][~is_free(left)] |= 1 << (4 + left)
+            kept[diagonal][~is_free(behind)] |= 1 << (4 + right)
+    return (kept & legal).astype(np.uint8).reshape(-1)
+
+
+_KEPT_MOVES = _kept_moves(NO_CORNER_CUTTING)
+_KEPT_MOVES_CUTTING_CORNERS = _kept_moves(CORNER_CUTTING)
+
+_LOWEST_MOVE = np.array([0] + [(k & -k).bit_length() - 1 for k in range(1, 256)], np.uint8)
+"""(256,) the lowest move of each set of moves that is not empty."""
+
+
+@kernel
+def find_free_neighbours(states: Bytes, lattice: Lattice, neighbours: Bytes) -> None:
+    """Write which neighbours of each padded cell are free, as sets of moves.
+
+    Args:
+        states: (cells,) WALL and UNSEEN, from `load`.
+        lattice: of the map.
+        neighbours: (cells,) to be filled, but for the wall around the map.
+    """
+    # The lowest bit of WALL is 1, that of UNSEEN is 0. With bytes, which numba would widen, the
+    # compiler handles many cells at once.
+    stride = np.uint64(lattice.stride)
+    for k in range(lattice.stride + 1, lattice.cells - lattice.stride - 1):
+        cell = np.uint64(k)
+        north = cell - stride
+        south = cell + stride
+        occupied = np.uint8(states[north] & _BYTE)
+        occupied = np.uint8(occupied | np.uint8((states[cell + _ONE] & _BYTE) << np.uint8(1)))
+        occupied = np.uint8(occupied | np.uint8((states[south] & _BYTE) << np.uint8(2)))
+        occupied = np.uint8(occupied | np.uint8((states[cell - _ONE] & _BYTE) << np.uint8(3)))
+        occupied = np.uint8(occupied | np.uint8((states[north + _ONE] & _BYTE) << np.uint8(4)))
+        occupied = np.uint8(occupied | np.uint8((states[south + _ONE] & _BYTE) << np.uint8(5)))
+        occupied = np.uint8(occupied | np.uint8((states[south - _ONE] & _BYTE) << np.uint8(6)))
+        occupied = np.uint8(occupied | np.uint8((states[north - _ONE] & _BYTE) << np.uint8(7)))
+        neighbours[cell] = np.uint8(~occupied)
+
+
+@kernel
+def jump_costs(
+    goal: Int, max_cost: Int, neighbours: Bytes, lattice: Lattice, scratch: Scratch
+) -> None:
+    """Write the cost of a shortest path from every cell to ``goal``, under 8-connectivity.
+
+    As in `shortest_costs`, buckets one UNIT wide take the place of a heap. But from most cells only
+    one move is followed, since the others begin no path that makes its diagonal moves first. On
+    open maps that takes a third of the time; it does not give the optimal moves.
+
+    Args:
+        goal: padded cell, free.
+        max_cost: the cost, in cells, at which the search stops, or INFINITY. The costs of cells
+            from this cost on are undefined, but not below it.
+        neighbours: (cells,) from `find_free_neighbours`.
+        lattice: of the map, with diagonals.
+        scratch: whose ``g`` (cells,) becomes the costs in 1 / UNIT, INFINITY without a path and on
+            occupied cells.
+
+    Raises:
+        ValueError: a path is too long for exact costs.
+    """
+    moves = scratch.came_from  # the move that led to a cell
+    costs = scratch.g
+    # A straight move leads to the next bucket, a diagonal one to the next or to the one after it.
+    cells = scratch.pushed
+    next_cells = scratch.links
+    later_cells = scratch.f.view(np.uint32)
+    kept_moves = _KEPT_MOVES
+    if lattice.diagonals == CORNER_CUTTING:
+        kept_moves = _KEPT_MOVES_CUTTING_CORNERS
+    for k in range(lattice.cells):
+        costs[np.uint64(k)] = INFINITY
+    costs[goal] = 0
+    moves[goal] = _NO_MOVE
+    cells[0] = goal
+    size = _ONE
+    next_size = _ZERO
+    later_size = _ZERO
+    bucket = 0
+    while (size or next_size) and bucket < max_cost:
+        if bucket >= MAX_PATH_COST:
+            raise ValueError(TOO_LONG)
+        while size:
+            size -= _ONE
+            cell = np.uint64(cells[size])
+            last_move = np.uint64(moves[cell])
+            if last_move == _SETTLED:
+                continue  # The cell was pushed again with a smaller cost.
+            moves[cell] = _SETTLED
+            around = np.uint64(neighbours[cell])
+            kept = np.uint64(kept_moves[(last_move << np.uint64(8)) | around])
+            straight = kept & _STRAIGHT_MOVES
+            diagonal = kept ^ straight
+            cost = costs[cell]
+            new_cost = cost + UNIT
+            while straight:
+                move = np.uint64(_LOWEST_MOVE[straight])
+                straight &= straight - _ONE
+                neighbour = cell + np.uint64(lattice.offsets[move])
+                next_cells[next_size] = neighbour
+                if new_cost < costs[neighbour]:
+                    costs[neighbour] = new_cost
+                    moves[neighbour] = move
+                    next_size += _ONE
+            new_cost = cost + lattice.diagonal_cost
+            is_next = new_cost >> UNIT_BITS == bucket + 1
+            while diagonal:
+                move = np.uint64(_LOWEST_MOVE[diagonal])
+                diagonal &= diagonal - _ONE
+                neighbour = cell + np.uint64(lattice.offsets[move])
+                if new_cost < costs[neighbour]:
+                    costs[neighbour] = new_cost
+                    moves[neighbour] = move
+                    if is_next:
+                        next_cells[next_size] = neighbour
+                        next_size += _ONE
+                    else:
+                        later_cells[later_size] = neighbour
+                        later_size += _ONE
+        cells, next_cells, later_cells = next_cells, later_cells, cells
+        size = next_size
+        next_size = later_size
+        later_size = _ZERO
+        bucket += 1

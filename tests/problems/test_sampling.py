@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from helpers import reference
+from helpers.reference import Cell
 from helpers.samples import assert_same, cells_of
 from hypothesis import given
 from hypothesis import strategies as st
@@ -27,8 +29,10 @@ from mapdata import (
     bfs,
     build,
     generate,
+    inflate,
 )
 from mapdata.arrays import Bytes, Ints
+from mapdata.movement import NEURAL_ASTAR
 from mapdata.problems.sampling import sample_problems
 from mapdata.search.lattice import move_rule
 
@@ -254,6 +258,134 @@ def test_goals_are_uniform(movement: Movement) -> None:
     assert set(to_corner.tolist()) == set(expected_starts.tolist())
     start_counts = np.bincount(to_corner, minlength=grid.size)[expected_starts]
     assert stats.chisquare(start_counts).pvalue > 1e-3
+
+
+BANDS = [
+    Random(distance=(3, 5)),
+    Random(hardness=(1.2, None)),
+    Random(length=(4, 6)),
+    Random(distance=(2.5, None), hardness=(1, 1.5)),
+    Random(distance=(2, 7), hardness=(1.05, 2.5), length=(3, 7)),
+]
+
+WINDING = np.array(
+    [
+        [0, 0, 0, 1, 0, 0],
+        [0, 1, 0, 0, 0, 1],
+        [0, 0, 1, 0, 1, 0],
+        [1, 0, 0, 0, 0, 0],
+        [0, 0, 1, 1, 1, 0],
+        [0, 1, 0, 0, 0, 0],
+    ],
+    np.uint8,
+)
+"""A map with cells that only diagonal moves connect, and without a free corner in some places."""
+
+Pair = tuple[Cell, Cell]
+
+
+def assert_frequencies(
+    probabilities: dict[Pair, float],
+    grid: Bytes,
+    conditions: Random,
+    movement: Movement,
+    terrain: Bytes | None = None,
+    goal: Cell | None = None,
+) -> None:
+    """Compare how often each (goal, start) is drawn with its probability, by a chi-square test.
+
+    The probabilities need not have the sum 1. Without any, no problem may be found.
+    """
+    count = 6000
+    ends, *_ = sample_problems(
+        np.repeat(grid[None], count, axis=0),
+        None if terrain is None else np.repeat(terrain[None], count, axis=0),
+        None if goal is None else np.tile(goal, (count, 1)),
+        np.uint64(5),
+        0,
+        np.arange(count),
+        (0, 200),
+        *conditions.conditions,
+        move_rule(movement),
+    )
+    drawn = Counter(((row, column), (r, c)) for r, c, row, column in ends.tolist())
+    if not probabilities:
+        assert (ends == NO_PROBLEM).all()
+        return
+    assert set(drawn) <= set(probabilities)
+    expected = count * np.array(list(probabilities.values())) / sum(probabilities.values())
+    observed = [drawn[pair] for pair in probabilities]
+    if len(expected) > 1:
+        assert stats.chisquare(observed, expected).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("radius", [0, 1])
+@pytest.mark.parametrize("movement", [*MOVEMENTS, NEURAL_ASTAR], ids=str)
+def test_frequencies_are_those_of_the_stated_distribution(movement: Movement, radius: int) -> None:
+    """Each goal that has a start within the bands is equally probable, and so is each of these
+    starts. All are enumerated, on a map of 6 x 6 cells and on one that is inflated.
+    """
+    grid = WINDING
+    if radius:
+        grid = np.zeros((6, 6), np.uint8)
+        grid[2, 2] = 1
+        grid = inflate(grid, 1)  # an L of 7 cells, since the edge of a map is an obstacle
+    cells = [(row, column) for row, column in np.argwhere(grid == 0).tolist()]
+    costs = {goal: reference.reference_distances(grid.tolist(), goal, movement) for goal in cells}
+    for conditions in BANDS:
+        starts = {}
+        for goal in cells:
+            within = reference.starts_within(
+                grid.tolist(), goal, costs[goal], conditions.bands, movement
+            )
+            if within:
+                starts[goal] = within
+        probabilities = {
+            (goal, start): 1 / len(within) for goal, within in starts.items() for start in within
+        }
+        assert probabilities or radius
+        assert_frequencies(probabilities, grid, conditions, movement)
+        goal, within = next(iter(starts.items()), (cells[0], []))
+        to_goal = {(goal, start): 1.0 for start in within}
+        assert_frequencies(to_goal, grid, conditions, movement, goal=goal)
+
+
+@pytest.mark.parametrize("movement", [*MOVEMENTS, NEURAL_ASTAR], ids=str)
+def test_frequencies_on_terrain_are_those_of_the_stated_distribution(movement: Movement) -> None:
+    """There, a band of length refuses a problem after its goal and start are drawn."""
+    terrain = np.array([[3, 9, 1, 0], [1, 0, 4, 2], [2, 7, 7, 1], [0, 1, 5, 1]], np.uint8)
+    grid = (terrain == 0).astype(np.uint8)
+    slow = (grid.tolist(), terrain.tolist())
+    cells = [(row, column) for row, column in np.argwhere(grid == 0).tolist()]
+    costs = {
+        goal: reference.reference_distances(slow[0], goal, movement, slow[1]) for goal in cells
+    }
+    lengths = {}
+    for goal in cells:
+        for start in costs[goal]:
+            result = reference.reference_astar(slow[0], start, goal, movement, slow[1])
+            lengths[goal, start] = len(result.path)
+    for conditions in (
+        Random(distance=(6, 14)),
+        Random(hardness=(1.5, 4)),
+        Random(length=(3, 4)),
+        Random(distance=(4, None), hardness=(1, 3), length=(None, 3)),
+        Random(distance=(4, 20), hardness=(1.2, 8), length=(3, 5)),
+    ):
+        lowest, highest = conditions.bands[2]
+        probabilities = {}
+        for goal in cells:
+            within = reference.starts_within(
+                slow[0], goal, costs[goal], conditions.bands, movement, slow[1]
+            )
+            for start in within:
+                if lowest <= lengths[goal, start] <= highest:
+                    probabilities[goal, start] = 1 / len(within)
+        assert probabilities, conditions
+        assert_frequencies(probabilities, grid, conditions, movement, terrain=terrain)
+        goal = next(iter(probabilities))[0]
+        to_goal = {pair: 1.0 for pair in probabilities if pair[0] == goal}
+        assert_frequencies(to_goal, grid, conditions, movement, terrain=terrain, goal=goal)
 
 
 @pytest.mark.parametrize("to_first", [False, True])

@@ -157,6 +157,7 @@ def test_a_flood_keeps_the_cells_within_the_limits_of_their_level(
     limits[kind == 1] = (1, 0)
     limits[kind == 2, 1] = numbers[kind == 2]
     board = build_board(grid)
+    board = board._replace(carry=np.uint64(board.carry))
     is_complete = flood_within(row, column, limits, board)
     costs = reference.reference_distances(grid.tolist(), (row, column), Movement())
     kept = set()
