@@ -1,5 +1,5 @@
 """The one door to all benchmarks: python -m benchmarks
-[labels|paths|terrain|making|build|loading] [--quick].
+[labels|paths|terrain|making|build|loading|bands] [--quick].
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ TABLES = {
     "build": "a dataset on disk beside the kernels alone; the first build ever; imports",
     "loading": "batches beside tensors in RAM, TensorDataset, naive h5py, npz, PNG + CSV, "
     "HF datasets, webdataset",
+    "bands": "random problems under conditions: how many goals a map gets",
 }
 PAGE = """# Benchmarks
 

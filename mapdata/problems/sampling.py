@@ -12,7 +12,7 @@ import numpy as np
 from mapdata.arrays import Bytes, Ints
 from mapdata.generators.maps import WORD
 from mapdata.jit import Int, kernel
-from mapdata.problems.sources import Bands
+from mapdata.problems.sources import OPEN, Bands
 from mapdata.rng import PROBLEM, block, bounded
 from mapdata.search.bitboard import (
     ALL_BITS,
@@ -22,6 +22,7 @@ from mapdata.search.bitboard import (
     count_bits,
     flood_board,
     flood_within,
+    has_cell,
     nth_cell,
     word_at,
 )
@@ -48,10 +49,12 @@ from mapdata.search.lattice import (
     MoveRule,
     cell_at,
     count_path_cells,
+    diagonal_moves,
     heuristic,
     in_cells,
     lattice_of,
     load,
+    plain_lattice,
     position,
     split_cost,
 )
@@ -67,19 +70,18 @@ from mapdata.search.terrain import (
 _LOWEST_BITS_TO_TOP_BYTE = np.uint64(0x0102040810204080)
 
 
-@kernel
 def sample_problems(
     grids: Bytes,
     terrains: Bytes | None,
     goals: Ints | None,
     seed: np.uint64,
-    epoch: Int,
+    epoch: int,
     indices: Ints,
-    attempts: tuple[Int, Int],
+    attempts: tuple[int, int],
     min_distance: float,
     bands: Bands | None,
     rule: MoveRule,
-) -> tuple[Ints, Int, Int]:
+) -> tuple[Ints, int, int]:
     """Sample a problem on each map: a goal, then one of the starts that fit all conditions.
 
     docs/format.md, section 6, fixes the draws. One flood around the goal gives the costs of all
@@ -107,29 +109,87 @@ def sample_problems(
         terrain has a cost that is too high to be exact, and this doubled cost. They are B and 0 if
         all costs are exact; otherwise the problems from that one on are not sampled.
     """
-    lattice = lattice_of(grids.shape[1:], rule)
-    scratch = new_scratch(ASTAR, lattice)
-    count = len(grids)
-    ends = np.full((count, 4), -1)
+    # An argument of None makes numba leave out the kernels that would use it, which take seconds to
+    # compile.
+    far_distance = None
+    limits = None
+    wide_limits = None
+    neighbours = None
+    cell_costs = None
+    lattice = plain_lattice(grids.shape[1:], rule)
+    all_bands = ((min_distance, math.inf), OPEN, OPEN) if bands is None else bands
     if terrains is not None:
         cell_costs = np.zeros(lattice.cells, np.uint8)
-    elif bands is not None:
+    elif bands is None:
+        far_distance = min_distance
+    elif rule[0] == NO_DIAGONALS:
+        limits = _level_limits(5 * sum(grids.shape[1:]) // 4, bands, rule)
+    else:
+        wide_limits = _level_limits(5 * sum(grids.shape[1:]) // 4, bands, rule)
         neighbours = np.zeros(lattice.cells, np.uint8)
-        limits = _level_limits(5 * sum(grids.shape[1:]) // 4, min_distance, bands, lattice)
+    ends, row, high_cost = _sample(
+        grids if terrains is None else terrains,
+        goals,
+        seed,
+        epoch,
+        indices,
+        attempts,
+        all_bands,
+        far_distance,
+        limits,
+        wide_limits,
+        neighbours,
+        cell_costs,
+        rule,
+    )
+    return ends, row, high_cost
+
+
+@kernel
+def _sample(
+    maps: Bytes,
+    goals: Ints | None,
+    seed: np.uint64,
+    epoch: Int,
+    indices: Ints,
+    attempts: tuple[Int, Int],
+    bands: Bands,
+    far_distance: float | None,
+    limits: Ints | None,
+    wide_limits: Ints | None,
+    neighbours: Bytes | None,
+    cell_costs: Bytes | None,
+    rule: MoveRule,
+) -> tuple[Ints, Int, Int]:
+    """Do the work of `sample_problems`, whose arguments and results these are, but for these.
+
+    ``maps``, (B, H, W), are grids or terrain. ``far_distance`` is the smallest cost, if it is the
+    only condition on maps without terrain. For others, ``limits`` are from `_level_limits` under 4
+    neighbours. Under 8 neighbours ``wide_limits`` are these, and ``neighbours`` (cells,) zeros.
+    ``cell_costs`` are (cells,) zeros for terrain.
+    """
+    lattice = lattice_of(maps.shape[1:], rule)
+    scratch = new_scratch(ASTAR, lattice)
+    count = len(maps)
+    ends = np.full((count, 4), -1)
+    lengths = bands[2]
+    has_lengths = lengths[0] > 2 or lengths[1] < np.inf
     for b in range(count):
-        board = build_board(grids[b])
+        if cell_costs is None:
+            board = build_board(maps[b])
+        else:
+            board = build_board(_occupied(maps[b]))
+            padded = load_terrain(maps[b], lattice, cell_costs, scratch.came_from)
+        if neighbours is not None:
+            load(maps[b], scratch.came_from)
+            find_free_neighbours(scratch.came_from, lattice, neighbours)
         free_cells = count_bits(board.free, 0, len(board.free))
         if free_cells < 2:
             continue
         if goals is not None:
             goal = (goals[b, 0], goals[b, 1])
-            if goal[0] < 0 or grids[b, goal[0], goal[1]]:
+            if goal[0] < 0 or not has_cell(board.free, board.stride, goal):
                 continue
-        if terrains is not None:
-            padded = load_terrain(terrains[b], lattice, cell_costs, scratch.came_from)
-        elif bands is not None and lattice.diagonals != NO_DIAGONALS:
-            load(grids[b], scratch.came_from)
-            find_free_neighbours(scratch.came_from, lattice, neighbours)
         for attempt in range(*attempts):
             goal_random, start_random, _, _ = block(
                 seed, np.uint64(indices[b]), epoch, PROBLEM, attempt
@@ -139,26 +199,18 @@ def sample_problems(
                 goal = nth_cell(board.free, board.stride, number)
             # All attempts for a goal that is given have the same starts.
             if goals is None or attempt == attempts[0]:
-                if terrains is not None:
-                    high_cost = _mark_terrain_starts(
-                        goal, min_distance, bands, padded, lattice, scratch, board
+                if far_distance is not None:
+                    _mark_far_starts(maps[b], goal, far_distance, lattice, scratch, board)
+                if limits is not None:
+                    _mark_starts_by_bits(maps[b], goal, bands, limits, lattice, scratch, board)
+                if neighbours is not None:
+                    _mark_starts_by_jumps(
+                        maps[b], goal, bands, wide_limits, neighbours, lattice, scratch, board
                     )
+                if cell_costs is not None:
+                    high_cost = _mark_terrain_starts(goal, bands, padded, lattice, scratch, board)
                     if high_cost:
                         return ends, b, high_cost
-                elif bands is None:
-                    _mark_far_starts(grids[b], goal, min_distance, lattice, scratch, board)
-                else:
-                    _mark_starts_within(
-                        grids[b],
-                        goal,
-                        min_distance,
-                        bands,
-                        limits,
-                        neighbours,
-                        lattice,
-                        scratch,
-                        board,
-                    )
             start_count = count_bits(board.reached, 0, len(board.free))
             if start_count == 0:
                 if goals is not None:
@@ -167,17 +219,25 @@ def sample_problems(
             # All starts are equally probable, numbered in row-major order.
             number = bounded(start_random, 0, start_count - 1)
             start = nth_cell(board.reached, board.stride, number)
-            if terrains is not None and bands is not None:
-                lengths = bands[2]
-                if lengths[0] > 2 or lengths[1] < np.inf:
-                    load_terrain(terrains[b], lattice, cell_costs, scratch.came_from)
-                    length = _terrain_path_length(start, goal, padded, lattice, scratch)
-                    if not lengths[0] <= length <= lengths[1]:
-                        continue
+            if cell_costs is not None and has_lengths:
+                load_terrain(maps[b], lattice, cell_costs, scratch.came_from)
+                length = _terrain_path_length(start, goal, padded, lattice, scratch)
+                if not lengths[0] <= length <= lengths[1]:
+                    continue
             ends[b, 0], ends[b, 1] = start
             ends[b, 2], ends[b, 3] = goal
             break
     return ends, count, np.int64(0)
+
+
+@kernel
+def _occupied(terrain: Bytes) -> Bytes:
+    """Return the grid, (H, W), that is occupied where ``terrain`` is."""
+    grid = np.empty(terrain.shape, np.uint8)
+    for row in range(terrain.shape[0]):
+        for column in range(terrain.shape[1]):
+            grid[row, column] = terrain[row, column] == 0
+    return grid
 
 
 @kernel
@@ -232,7 +292,7 @@ def _mark_far_starts(
 
 
 @kernel
-def _level_limits(max_levels: Int, min_distance: float, bands: Bands, lattice: Lattice) -> Ints:
+def _level_limits(max_levels: Int, bands: Bands, rule: MoveRule) -> Ints:
     """Return the limits, for `flood_within`, that starts within ``bands`` meet.
 
     A level of `flood_within` is a number of straight moves. Under 4 neighbours it is the cost of
@@ -245,21 +305,21 @@ def _level_limits(max_levels: Int, min_distance: float, bands: Bands, lattice: L
 
     Args:
         max_levels: number of levels.
-        min_distance: smallest cost, in cells.
         bands: as `Random.bands`.
-        lattice: of the map, without corner cutting.
+        rule: as `move_rule` returns it. With corner cutting the limits are of no use.
     """
     distances, ratios, lengths = bands
     least_cost = 1.0  # of a straight move, if diagonal moves take its place
     least_moves = 1.0
-    if lattice.diagonals != NO_DIAGONALS:
-        least_cost = 0.7071 if lattice.diagonal_cost > UNIT else 0.5  # sqrt(2) / 2, rounded down
+    diagonals, diagonal_cost = rule
+    if diagonals != NO_DIAGONALS:
+        least_cost = 0.7071 if diagonal_cost > UNIT else 0.5  # sqrt(2) / 2, rounded down
         least_moves = 0.5
     limits = np.zeros((max_levels, 2), np.int64)
     for level in range(1, max_levels):
         limits[level, 0] = 1
         if (
-            level < min_distance
+            level < distances[0]
             or least_cost * level > distances[1]
             or level + 1 < lengths[0]
             or least_moves * level + 1 > lengths[1]
@@ -280,59 +340,87 @@ def _level_limits(max_levels: Int, min_distance: float, bands: Bands, lattice: L
 
 
 @kernel
-def _mark_starts_within(
+def _mark_starts_by_bits(
     grid: Bytes,
     goal: tuple[Int, Int],
-    min_distance: float,
     bands: Bands,
     limits: Ints,
+    lattice: Lattice,
+    scratch: Scratch,
+    board: Board,
+) -> None:
+    """Make ``board.reached`` the cells within all bands under 4 neighbours.
+
+    Args:
+        grid: (H, W).
+        goal: (row, column).
+        bands: as `Random.bands`.
+        limits: from `_level_limits`.
+        lattice: of the map.
+        scratch: memory for `shortest_costs`.
+        board: of the map.
+    """
+    # Bits are slow in mazes, which have many levels.
+    if not flood_within(goal[0], goal[1], limits, board):
+        load(grid, scratch.came_from)
+        sources = np.full(1, cell_at(goal[0], goal[1], lattice))
+        shortest_costs(sources, _end_of_search(1.0, bands), lattice, scratch)
+        _mark_costs_within(grid.shape, goal, bands, lattice, scratch.g, board)
+
+
+@kernel
+def _mark_starts_by_jumps(
+    grid: Bytes,
+    goal: tuple[Int, Int],
+    bands: Bands,
+    wide_limits: Ints,
     neighbours: Bytes,
     lattice: Lattice,
     scratch: Scratch,
     board: Board,
 ) -> None:
-    """Make ``board.reached`` the cells whose shortest path to ``goal`` is within all bands.
+    """Make ``board.reached`` the cells within all bands under 8 neighbours.
 
     Args:
         grid: (H, W).
         goal: (row, column).
-        min_distance: smallest cost, in cells, at least 1.
         bands: as `Random.bands`.
-        limits: from `_level_limits`.
-        neighbours: (cells,) from `find_free_neighbours`, for maps with diagonal moves.
+        wide_limits: from `_level_limits`.
+        neighbours: (cells,) from `find_free_neighbours`.
         lattice: of the map.
-        scratch: memory for `shortest_costs`.
+        scratch: memory for `jump_costs`.
         board: of the map.
     """
     distances, _, lengths = bands
-    # Under 8 neighbours bits can only show that there is no start. They seldom do unless starts are
-    # far away.
-    asks_bits = lattice.diagonals == NO_DIAGONALS
-    if lattice.diagonals == NO_CORNER_CUTTING:
-        asks_bits = min_distance > 1 or lengths[0] > 2
-    if asks_bits and flood_within(goal[0], goal[1], limits, board):
-        has_starts = count_bits(board.reached, 0, len(board.reached)) > 0
-        if lattice.diagonals == NO_DIAGONALS or not has_starts:
+    # Bits may show that there is no start, in less time than the costs take. They seldom do unless
+    # starts are far away.
+    is_far = distances[0] > 1 or lengths[0] > 2
+    if is_far and lattice.diagonals == NO_CORNER_CUTTING:
+        is_complete = flood_within(goal[0], goal[1], wide_limits, board)
+        if is_complete and count_bits(board.reached, 0, len(board.reached)) == 0:
             return
-    # No cell that is farther away than this is a start, so the search can stop there.
-    most_moves_cost = (lengths[1] - 1) * (1.0 if lattice.diagonals == NO_DIAGONALS else 1.5)
-    max_cost: Int = INFINITY
-    if min(distances[1], most_moves_cost) < MAX_PATH_COST:
-        max_cost = max(math.floor(min(distances[1], most_moves_cost)) + 1, 0)
     goal_cell = cell_at(goal[0], goal[1], lattice)
-    if lattice.diagonals == NO_DIAGONALS:
-        load(grid, scratch.came_from)
-        shortest_costs(np.full(1, goal_cell), max_cost, lattice, scratch)
-    else:
-        jump_costs(goal_cell, max_cost, neighbours, lattice, scratch)
-    _mark_costs_within(grid.shape, goal, min_distance, bands, lattice, scratch.g, board)
+    jump_costs(goal_cell, _end_of_search(1.5, bands), neighbours, lattice, scratch)
+    _mark_costs_within(grid.shape, goal, bands, lattice, scratch.g, board)
+
+
+@kernel
+def _end_of_search(max_move_cost: float, bands: Bands) -> Int:
+    """Return a cost, in cells, from which on no cell is a start, or INFINITY.
+
+    ``max_move_cost`` is at least the cost of a move.
+    """
+    distances, _, lengths = bands
+    end = min(distances[1], (lengths[1] - 1) * max_move_cost)
+    if end >= MAX_PATH_COST:
+        return INFINITY
+    return np.int64(max(math.floor(end) + 1, 0))
 
 
 @kernel
 def _mark_costs_within(
     shape: tuple[Int, Int],
     goal: tuple[Int, Int],
-    min_distance: float,
     bands: Bands,
     lattice: Lattice,
     costs: Ints,
@@ -346,6 +434,7 @@ def _mark_costs_within(
     """
     distances, ratios, lengths = bands
     margin = 1e-11
+    min_distance = max(distances[0], 1.0)  # so that the goal is no start
     scale = 1.0 / UNIT
     max_distance = min(distances[1], MAX_PATH_COST + 1.0)  # no path leads to the cells above that
     wide_low = min_distance * (1 - margin)
@@ -391,24 +480,19 @@ def _mark_costs_within(
                 for k in range(width):
                     cost = costs[first_cell + np.uint64(k)]
                     columns = first_column + k - goal[1]
-                    if word & bit_at(k) and not _is_within(
-                        cost, rows, columns, min_distance, bands, lattice
-                    ):
+                    if word & bit_at(k) and not _is_within(cost, rows, columns, bands, lattice):
                         word ^= bit_at(k)
             board.reached[word_at(row, first_column, board.stride)] = word
 
 
 @kernel
-def _is_within(
-    cost: Int, rows: Int, columns: Int, min_distance: float, bands: Bands, lattice: Lattice
-) -> Int:
+def _is_within(cost: Int, rows: Int, columns: Int, bands: Bands, lattice: Lattice) -> Int:
     """Return whether a start is within all bands.
 
     Args:
         cost: from start to goal, in 1 / UNIT.
         rows: how far the goal is away.
         columns: how far the goal is away.
-        min_distance: smallest cost, in cells.
         bands: as `Random.bands`.
         lattice: of the map.
     """
@@ -418,7 +502,7 @@ def _is_within(
     straight, diagonal = split_cost(cost)
     length = count_path_cells(straight, diagonal)
     return (
-        min_distance <= distance <= distances[1]
+        distances[0] <= distance <= distances[1]
         and ratios[0] <= hardness <= ratios[1]
         and lengths[0] <= length <= lengths[1]
     )
@@ -427,8 +511,7 @@ def _is_within(
 @kernel
 def _mark_terrain_starts(
     goal: tuple[Int, Int],
-    min_distance: float,
-    bands: Bands | None,
+    bands: Bands,
     padded: PaddedTerrain,
     lattice: Lattice,
     scratch: Scratch,
@@ -438,8 +521,7 @@ def _mark_terrain_starts(
 
     Args:
         goal: (row, column).
-        min_distance: smallest cost of a path to the goal, in cells, at least 1.
-        bands: as `Random.bands`, of which that of length is not considered; or None.
+        bands: as `Random.bands`, of which that of length is not considered.
         padded: the terrain.
         lattice: of the map.
         scratch: memory for `shortest_terrain_costs`.
@@ -452,18 +534,20 @@ def _mark_terrain_starts(
     high_cost = shortest_terrain_costs(np.full(1, goal_cell), padded, lattice, scratch)
     if high_cost:
         return high_cost
+    distances, ratios, _ = bands
+    min_distance = max(distances[0], 1.0)  # so that the goal is no start
+    has_ratios = ratios[0] > 1 or ratios[1] < np.inf
     board.reached.fill(0)
     for cell in range(lattice.cells):
         cost = cost_in_cells(scratch.g[cell], padded)
-        if cost < min_distance:
+        if cost < min_distance or cost > distances[1]:
             continue
         row, column = position(cell, lattice)
-        if bands is not None:
-            distances, ratios, _ = bands
+        if has_ratios:
             lower_bound = cost_in_cells(
                 terrain_heuristic(row - goal[0], column - goal[1], padded, lattice), padded
             )
-            if cost > distances[1] or not ratios[0] <= cost / lower_bound <= ratios[1]:
+            if not ratios[0] <= cost / lower_bound <= ratios[1]:
                 continue
         board.reached[word_at(row, column, board.stride)] |= bit_at(column)
     return np.int64(0)
@@ -489,16 +573,15 @@ def _terrain_path_length(
     return count_path_cells(straight, diagonal)
 
 
-@kernel
 def solve_pairs(
     grids: Bytes,
     seed_points: Ints,
     rooms: Ints,
     seed: np.uint64,
-    epoch: Int,
+    epoch: int,
     indices: Ints,
-    only_route: Int,
-    keep_unsolvable: Int,
+    only_route: int,
+    keep_unsolvable: int,
     weights: CostWeights,
     rule: MoveRule,
 ) -> tuple[Ints, Ints, Ints, Ints]:
@@ -522,6 +605,38 @@ def solve_pairs(
         The start and the goal of each problem (B, 4), -1 if no pair fits; the cells (M, 2) of the
         paths and their offsets (B + 1,) in there; the expansions (B,).
     """
+    diagonals = diagonal_moves(rule)
+    ends, cells, offsets, expansions = _solve_pairs(
+        grids,
+        seed_points,
+        rooms,
+        seed,
+        epoch,
+        indices,
+        only_route,
+        keep_unsolvable,
+        weights,
+        diagonals,
+        rule,
+    )
+    return ends, cells, offsets, expansions
+
+
+@kernel
+def _solve_pairs(
+    grids: Bytes,
+    seed_points: Ints,
+    rooms: Ints,
+    seed: np.uint64,
+    epoch: Int,
+    indices: Ints,
+    only_route: Int,
+    keep_unsolvable: Int,
+    weights: CostWeights,
+    diagonals: Int | None,
+    rule: MoveRule,
+) -> tuple[Ints, Ints, Ints, Ints]:
+    """Do the work of `solve_pairs`; ``diagonals`` are those of the rule, from `diagonal_moves`."""
     count = len(grids)
     lattice = lattice_of(grids.shape[1:], rule)
     scratch = new_scratch(weights, lattice)
@@ -544,7 +659,7 @@ def solve_pairs(
                 continue
             load(grids[b], scratch.came_from)
             straight, diagonal, expansions[b], _ = solve_loaded(
-                start, goal, weights, lattice, scratch
+                start, goal, weights, diagonals, lattice, scratch
             )
             length = count_path_cells(straight, diagonal)
             if length or keep_unsolvable:

@@ -20,7 +20,7 @@ Limits = tuple[float, float]
 Bands = tuple[Limits, Limits, Limits]
 """The limits of distance, hardness and length."""
 
-_OPEN: Limits = (0.0, math.inf)
+OPEN: Limits = (0.0, math.inf)
 """The limits of a condition that is not set."""
 
 
@@ -68,9 +68,12 @@ class Pairs(_BetweenSeedPoints):
 class Random:
     """One problem a map between two connected free cells, sampled anew each epoch.
 
-    docs/format.md, section 6, defines the draws. Each condition is None or a band, (lowest,
-    highest), both included, where None or an infinite bound leaves a side open. The attributes hold
-    bands as tuples of floats.
+    Each condition is None or a band, (lowest, highest), both included, where None or an infinite
+    bound leaves a side open. The attributes hold bands as tuples of floats.
+
+    The goal is uniform among the free cells that have a start within all bands, and the start is
+    uniform among these starts. On terrain the band of length is that of A*'s path, and goal and
+    start are drawn again until the path fits. docs/format.md, section 6, defines the draws.
 
     Attributes:
         distance: cost of the shortest path, in cells.
@@ -112,7 +115,7 @@ class Random:
     def conditions(self) -> tuple[float, Bands | None]:
         """The minimum distance, 1 or more, and the bands; None if there is no other condition."""
         min_distance, max_distance = self.bands[0]
-        has_only_minimum = (max_distance, *self.bands[1:]) == (math.inf, _OPEN, _OPEN)
+        has_only_minimum = (max_distance, *self.bands[1:]) == (math.inf, OPEN, OPEN)
         return max(min_distance, 1.0), None if has_only_minimum else self.bands
 
 
@@ -165,7 +168,7 @@ def plain_text(source: Source) -> str:
 
 def _limits(band: Band | None) -> Limits:
     """Return the limits of a condition, which are open if it is not set."""
-    return _OPEN if band is None else check_band("", band)
+    return OPEN if band is None else check_band("", band)
 
 
 def check_band(name: str, band: object) -> Limits:

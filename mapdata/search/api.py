@@ -36,6 +36,7 @@ from mapdata.search.lattice import (
     UNIT,
     CostWeights,
     MoveRule,
+    diagonal_moves,
     move_rule,
 )
 from mapdata.search.terrain import (
@@ -266,6 +267,7 @@ def solve_batch(
         goal_cells,
         int(allow_occupied_ends),
         weights,
+        diagonal_moves(rule),
         rule,
         _scratch_memory(grid_stack, rule),
     )
@@ -557,7 +559,13 @@ def _search(
         if weights is ASTAR:
             return _search_on_terrain(costs, array, start_cell, goal_cell, movement)
     path, straight, diagonal, expansions = solve_problem(
-        array, *start_cell, *goal_cell, weights, rule, _scratch_memory(array, rule)
+        array,
+        *start_cell,
+        *goal_cell,
+        weights,
+        diagonal_moves(rule),
+        rule,
+        _scratch_memory(array, rule),
     )
     # Every search expands its start, so 0 says that the kernel refused the problem.
     if expansions == 0:

@@ -123,6 +123,12 @@ def bit_at(column: Int) -> Int:
     return _ONE << np.uint64(column % WORD)
 
 
+@inlined
+def has_cell(words: Words, stride: Int, cell: tuple[Int, Int]) -> Int:
+    """Return whether a set, an array of a `Board`, has the cell (row, column)."""
+    return words[word_at(cell[0], cell[1], stride)] & bit_at(cell[1]) != 0
+
+
 @kernel
 def nth_cell(words: Words, stride: Int, number: Int) -> tuple[Int, Int]:
     """Return (row, column) of cell ``number`` of a set, counted from 0 in row-major order.
@@ -256,12 +262,8 @@ def flood_within(row: Int, column: Int, limits: Ints, board: Board) -> Int:
             for k in range(first_word, last_word + 1):
                 i = np.uint64(k)
                 near = _bits_within(columns[i], most - rows_away[i])
-                reached[i] |= following[i] & near
-        if 1 < least <= most:
-            for k in range(first_word, last_word + 1):
-                i = np.uint64(k)
                 too_near = _bits_within(columns[i], least - 1 - rows_away[i])
-                reached[i] &= ~(following[i] & too_near)
+                reached[i] |= following[i] & near & ~too_near
         current, following = following, current
     return first_word > last_word
 

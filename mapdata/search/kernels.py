@@ -678,9 +678,16 @@ def plain_new_scratch(lattice: Lattice) -> Scratch:
 
 @kernel
 def solve_loaded(
-    start: Int, goal: Int, weights: CostWeights, lattice: Lattice, scratch: Scratch
+    start: Int,
+    goal: Int,
+    weights: CostWeights,
+    diagonals: Int | None,
+    lattice: Lattice,
+    scratch: Scratch,
 ) -> tuple[Int, Int, Int, Int]:
     """Search a path from ``start`` to ``goal``, padded cells, on a grid that is loaded.
+
+    ``diagonals`` are those of the lattice, from `diagonal_moves`.
 
     Returns:
         Straight and diagonal moves, or (-1, 0) without a path; BFS, which does not weigh moves,
@@ -690,7 +697,7 @@ def solve_loaded(
     if scratch.came_from[start] == WALL or scratch.came_from[goal] == WALL:
         return -1, 0, 0, 1
     if weights is None:  # A*: numba leaves out the searches below.
-        if lattice.diagonals == NO_DIAGONALS:
+        if diagonals is None:
             expansions, pushes = astar_manhattan(start, goal, lattice, scratch)
         else:
             expansions, pushes = best_first_buckets(start, goal, lattice, scratch)
@@ -714,10 +721,13 @@ def solve_problem(
     goal_row: Int,
     goal_column: Int,
     weights: CostWeights,
+    diagonals: Int | None,
     rule: MoveRule,
     memory: Bytes,
 ) -> tuple[Ints, Int, Int, Int]:
     """Search one problem on ``grid`` (H, W), with ``memory`` for its `Scratch`.
+
+    ``diagonals`` are those of the rule, from `diagonal_moves`.
 
     Returns:
         The cells of the path, (k, 2) int64; straight and diagonal moves, (-1, 0) without a path;
@@ -730,7 +740,9 @@ def solve_problem(
         return np.empty((0, 2), np.int64), -1, 0, 0
     start = cell_at(start_row, start_column, lattice)
     goal = cell_at(goal_row, goal_column, lattice)
-    straight, diagonal, expansions, _ = solve_loaded(start, goal, weights, lattice, scratch)
+    straight, diagonal, expansions, _ = solve_loaded(
+        start, goal, weights, diagonals, lattice, scratch
+    )
     path = np.empty((count_path_cells(straight, diagonal), 2), np.int64)
     write_cells(scratch.came_from, goal, lattice, path)
     return path, straight, diagonal, expansions
@@ -743,6 +755,7 @@ def solve_problems(
     goals: Ints,
     max_end_state: Int,
     weights: CostWeights,
+    diagonals: Int | None,
     rule: MoveRule,
     memory: Bytes,
 ) -> tuple[Ints, Ints, Ints, Ints, Int]:
@@ -754,6 +767,7 @@ def solve_problems(
         goals: (B, 2) cells.
         max_end_state: 0 if starts and goals have to be free, 1 if they may be occupied.
         weights: which search.
+        diagonals: those of the rule, from `diagonal_moves`.
         rule: which moves are legal.
         memory: for the `Scratch` of the search.
 
@@ -787,7 +801,7 @@ def solve_problems(
         start = cell_at(starts[b, 0], starts[b, 1], lattice)
         goal = cell_at(goals[b, 0], goals[b, 1], lattice)
         moves[b, 0], moves[b, 1], expansions[b], pushes = solve_loaded(
-            start, goal, weights, lattice, scratch
+            start, goal, weights, diagonals, lattice, scratch
         )
         length = count_path_cells(moves[b, 0], moves[b, 1])
         cells = with_capacity(cells, used, length)

@@ -114,6 +114,15 @@ def move_rule(movement: Movement) -> MoveRule:
     return diagonals, diagonal_cost
 
 
+def diagonal_moves(rule: MoveRule) -> int | None:
+    """Return the first number of a rule, or None under 4 neighbours.
+
+    With None, numba leaves the search for maps with diagonal moves out of a kernel.
+    """
+    diagonals, _ = rule
+    return None if diagonals == NO_DIAGONALS else diagonals
+
+
 class Lattice(NamedTuple):
     """The padded cells of one map size and the moves between them.
 

@@ -247,6 +247,7 @@ TITLES = {
     "making": "Making maps",
     "build": "Building a dataset",
     "loading": "Loading",
+    "bands": "Goals a map gets, under conditions",
 }
 """What stands above each table."""
 
