@@ -146,17 +146,22 @@ def processor_ms(solve: Callable[..., Any], problems: ProblemSet, batch_size: in
     return 1000 * seconds / TIMED
 
 
+def problems_of(name: str) -> ProblemSet:
+    """Return the problems on one of `TEST_FAMILIES`."""
+    return ProblemSet.sample(
+        TEST_FAMILIES[name],
+        TEST_SEED,
+        TEST_MAPS,
+        movement=MOVEMENT,
+        problems=Random(length=(MIN_PATH_CELLS, None)),
+    )
+
+
 def measure(results: Results, model: PathPredictor) -> None:
     """Add the sets and rows of all families to results."""
     run = this_run("python docs/terrain_tables.py")
     for name, family in TEST_FAMILIES.items():
-        problems = ProblemSet.sample(
-            family,
-            TEST_SEED,
-            TEST_MAPS,
-            movement=MOVEMENT,
-            problems=Random(length=(MIN_PATH_CELLS, None)),
-        )
+        problems = problems_of(name)
         planners = planners_of(model)
         table = evaluate(planners, problems)
         table = table[table["subset"] == "all"].set_index("planner", drop=False)

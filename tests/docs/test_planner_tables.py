@@ -96,6 +96,29 @@ def test_one_command_adds_a_planner_to_the_results_and_to_the_page(
     assert {row["run"] for row in document["rows"]} == {0, 1}
 
 
+SLOW_SETS = ("paper-", "dungeon256-")
+"""The sets of thousands of maps, or of large ones."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] if name.startswith(SLOW_SETS) else [])
+        for name, drawn in json.loads((DOCS / "planner_results.json").read_text())["sets"].items()
+        if "seed" in drawn
+    ],
+)
+def test_the_sets_of_the_tables_keep_their_problems(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those with a lowest distance alone are drawn as in the version that measured them."""
+    monkeypatch.syspath_prepend(str(DOCS))
+    import planner_tables
+
+    sets = json.loads((DOCS / "planner_results.json").read_text())["sets"]
+    assert planner_tables.problems_of(name).content_hash == sets[name]["hash"]
+
+
 def test_rows_of_other_problems_are_dropped(tables: ModuleType, tmp_path: Path) -> None:
     """A set of the same name with another hash has none of the rows of the older set."""
     from planner_results import Results, this_run

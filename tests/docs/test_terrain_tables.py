@@ -28,6 +28,14 @@ def test_the_table_of_the_page_is_that_of_the_file(tables: ModuleType) -> None:
     assert tables.table_of(results) in (DOCS / "planners.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
+def test_the_sets_of_the_table_keep_their_problems(tables: ModuleType) -> None:
+    """On terrain, a range of length is tested after the draw, as in the version that measured."""
+    results = tables.Results.read(DOCS / "terrain_results.json")
+    for name in tables.TEST_FAMILIES:
+        assert tables.problems_of(name).content_hash == results.sets[name]["hash"]
+
+
 def test_a_network_is_measured_beside_the_classical_planners(
     tables: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

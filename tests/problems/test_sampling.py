@@ -443,11 +443,11 @@ def test_paths_found_while_sampling_are_those_of_a_search(movement: Movement, se
         5,
         60,
         fields=("map", "start", "goal", "path", "cost", "iterations", "hardness"),
-        problems=Random(hardness=(1.5, None), length=(None, 90)),
+        problems=Random(hardness=(2.1, None), length=(None, 90)),
         movement=movement,
         search=search,
     )[:]
-    assert (served.hardness >= 1.5).all()
+    assert (served.hardness >= 2.1).all()
     searches = {"astar": astar, "bfs": bfs}
     for k in range(60):
         grid = served.map[k, 0].numpy()

@@ -191,7 +191,7 @@ def test_sampled_sets_on_terrain_have_golden_hashes() -> None:
     assert tiles.content_hash == golden
     conditions = Random(distance=(20, 150), length=(10, None))
     random = ProblemSet.sample("terrain", 0, 20, problems=conditions, movement=Movement(8))
-    golden = "f1044925eb228f95ffa16acd4745c3b496541a709d9e30d644d9275cff1d5f9c"
+    golden = "f44c2ed71dca6f7d320d9f27898c45ecd9b346cda51f6067333cf9fb19a51a8f"
     assert random.content_hash == golden
 
 
