@@ -203,7 +203,7 @@ def _sample(
                     _mark_far_starts(maps[b], goal, far_distance, lattice, scratch, board)
                 if limits is not None:
                     _mark_starts_by_bits(maps[b], goal, bands, limits, lattice, scratch, board)
-                if neighbours is not None:
+                if wide_limits is not None and neighbours is not None:
                     _mark_starts_by_jumps(
                         maps[b], goal, bands, wide_limits, neighbours, lattice, scratch, board
                     )

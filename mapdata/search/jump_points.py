@@ -403,7 +403,8 @@ def _kept_moves(diagonals: int) -> Bytes:
     neighbours = np.arange(256)
 
     def is_free(move: int) -> Flags:
-        return (neighbours >> move) % 2 == 1
+        flags: Flags = (neighbours >> move) % 2 == 1
+        return flags
 
     legal = neighbours.copy()
     if diagonals == NO_CORNER_CUTTING:

@@ -400,7 +400,7 @@ def best_first_buckets(
 
 @kernel
 def best_first_heap(
-    start: Int, goal: Int, weights: CostWeights, lattice: Lattice, scratch: Scratch
+    start: Int, goal: Int, weights: tuple[Int, float], lattice: Lattice, scratch: Scratch
 ) -> tuple[Int, Int]:
     """Run best-first search with any moves and weights: the open list is a binary heap.
 

@@ -422,7 +422,7 @@ def terrain_astar(
 def terrain_best_first(
     start: Int,
     goal: Int,
-    weights: CostWeights,
+    weights: tuple[Int, float],
     padded: PaddedTerrain,
     lattice: Lattice,
     scratch: Scratch,

@@ -351,6 +351,42 @@ def test_frequencies_are_those_of_the_stated_distribution(movement: Movement, ra
 
 
 @pytest.mark.parametrize("movement", [*MOVEMENTS, NEURAL_ASTAR], ids=str)
+def test_both_ends_of_a_band_are_included(movement: Movement) -> None:
+    """Bands that end at the value of a start, or at the next float: that start is in, or out."""
+    goal = (3, 2)
+    grid = WINDING.tolist()
+    costs = reference.reference_distances(grid, goal, movement)
+    values: dict[str, set[float]] = {"distance": set(), "hardness": set()}
+    for start, cost in costs.items():
+        if start != goal:
+            distance = reference.as_float(cost, movement)
+            bound = reference.as_float(reference.heuristic(start, goal, movement), movement)
+            values["distance"].add(distance)
+            values["hardness"].add(distance / bound)
+    count = 300  # of each start about 10
+    for name, ends in values.items():
+        for end in sorted(ends):
+            above = float(np.nextafter(end, np.inf))
+            below = float(np.nextafter(end, 0))
+            for band in ((end, None), (above, None), (None, end), (None, below)):
+                conditions = Random(**{name: band})
+                sampled, *_ = sample_problems(
+                    np.repeat(WINDING[None], count, axis=0),
+                    None,
+                    np.tile(goal, (count, 1)),
+                    np.uint64(3),
+                    0,
+                    np.arange(count),
+                    (0, 1),
+                    *conditions.conditions,
+                    move_rule(movement),
+                )
+                drawn = {(row, column) for row, column in sampled[:, :2].tolist()}
+                within = reference.starts_within(grid, goal, costs, conditions.bands, movement)
+                assert drawn == (set(within) or {(NO_PROBLEM, NO_PROBLEM)}), band
+
+
+@pytest.mark.parametrize("movement", [*MOVEMENTS, NEURAL_ASTAR], ids=str)
 def test_frequencies_on_terrain_are_those_of_the_stated_distribution(movement: Movement) -> None:
     """There, a band of length refuses a problem after its goal and start are drawn."""
     terrain = np.array([[3, 9, 1, 0], [1, 0, 4, 2], [2, 7, 7, 1], [0, 1, 5, 1]], np.uint8)
