@@ -369,7 +369,8 @@ def test_both_ends_of_a_band_are_included(movement: Movement) -> None:
             above = float(np.nextafter(end, np.inf))
             below = float(np.nextafter(end, 0))
             for band in ((end, None), (above, None), (None, end), (None, below)):
-                conditions = Random(**{name: band})
+                bands: dict[str, Any] = {name: band}
+                conditions = Random(**bands)
                 sampled, *_ = sample_problems(
                     np.repeat(WINDING[None], count, axis=0),
                     None,
