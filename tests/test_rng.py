@@ -104,8 +104,9 @@ def test_block_lays_out_key_and_counter(
 
 
 def test_streams_are_numbered_as_the_format_says() -> None:
-    """The five streams are part of the format."""
+    """The streams of section 5 are part of the format."""
     assert (rng.MAP, rng.PROBLEM, rng.SPLIT, rng.AUGMENTATION, rng.ORDER) == (0, 1, 2, 3, 4)
+    assert (rng.POINTS, rng.TERRAIN, rng.IMAGE, rng.SUBSTITUTE) == (5, 6, 7, 8)
 
 
 def test_every_coordinate_gives_other_words() -> None:

@@ -279,7 +279,8 @@ class MapDataModule(_Base):
             return MapDataset(self.roots, split, follow_links=self.follow_links, **arguments)
         assert self.build is not None  # there are roots or a recipe
         recipe = as_recipe(self.build)
-        length = max(round(recipe.maps * recipe.generator.splits[SPLITS.index(split)]), 1)
+        maps = max(round(recipe.maps * recipe.generator.splits[SPLITS.index(split)]), 1)
+        length = maps * serving.problems.per_map
         return OnlineMapDataset(recipe.generator, recipe.seed, length, split, **arguments)
 
     def train_dataloader(self) -> DataLoader[Sample]:

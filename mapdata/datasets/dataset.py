@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import Dataset, default_collate
 
-from mapdata.arrays import Bytes, Ints
+from mapdata.arrays import Bytes, Ints, offsets_of
 from mapdata.checks import check_choice, check_flag
 from mapdata.datasets.arguments import (
     DEFAULT_FIELDS,
@@ -52,6 +52,7 @@ from mapdata.generators.generator import unknown_family
 from mapdata.generators.recipe import Recipe
 from mapdata.limits import SPLITS, Size
 from mapdata.movement import Movement
+from mapdata.problems.nearest import nearest_text, nothing_seen, see_values
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import (
     Band,
@@ -63,24 +64,26 @@ from mapdata.problems.sources import (
     plain_text,
     problem_source,
 )
+from mapdata.problems.substitutes import draw_substitutes, most_maps
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
 from mapdata.search.api import check_cost
 from mapdata.search.footprint import inflate_all, without_occupied
 from mapdata.search.lattice import move_rule
 from mapdata.shards.locations import Locations, locations
+from mapdata.shards.workers import Advance, no_bar
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
 DRAWS = 32
-"""How many random problems are drawn on a sample's own map.
+"""How many goals are drawn on a map for a random problem, before another map takes its place."""
 
-On the first substitute of the map 3 DRAWS are tried, on the second one 5 DRAWS, and so on.
+CELLS_AT_ONCE = 2**20
+"""Cells of the maps that problems are sampled on at once: 256 maps of 64 x 64.
+
+More of them would keep a progress bar waiting where problems are rare.
 """
-
-MAX_FAILED_DRAWS = 1_000_000
-"""After so many draws in a row without success, over all samples of a batch, there is an error."""
 
 FILTER_BATCH = 4096
 """Number of problems that `MapDataset.filter` examines at once, which limits its memory."""
@@ -111,22 +114,54 @@ class SampledProblems(NamedTuple):
     ends: Ints
     paths: Paths | None
 
-    def replace_rows(self, rows: Ints, replacements: SampledProblems) -> SampledProblems:
-        """Return these problems with problem ``rows[k]`` replaced by problem k of others.
+    def with_rows(self, rows: Ints, others: SampledProblems, places: Ints) -> SampledProblems:
+        """Return these problems with number ``rows[k]`` replaced by number ``places[k]`` of others.
 
         The arrays are changed in place; paths are copied.
         """
-        self.grids[rows] = replacements.grids
-        self.ends[rows] = replacements.ends
+        self.grids[rows] = others.grids[places]
+        self.ends[rows] = others.ends[places]
         stored_maps = self.stored_maps
-        new_maps = replacements.stored_maps
-        stored_maps.numbers[rows] = new_maps.numbers
-        stored_maps.grids[rows] = new_maps.grids  # without inflation these are the grids above
+        new_maps = others.stored_maps
+        stored_maps.numbers[rows] = new_maps.numbers[places]
+        stored_maps.grids[rows] = new_maps.grids[places]  # without inflation the grids above
         if stored_maps.terrain is not None and new_maps.terrain is not None:
-            stored_maps.terrain[rows] = new_maps.terrain
-        if self.paths is None or replacements.paths is None:
+            stored_maps.terrain[rows] = new_maps.terrain[places]
+        if self.paths is None or others.paths is None:
             return self
-        return self._replace(paths=self.paths.with_rows(rows, replacements.paths))
+        return self._replace(paths=self.paths.with_rows(rows, others.paths, places))
+
+
+def joined(parts: Sequence[SampledProblems]) -> SampledProblems:
+    """Return the problems of all parts, one part after another."""
+    stored_maps = [part.stored_maps for part in parts]
+    terrains = [maps.terrain for maps in stored_maps if maps.terrain is not None]
+    grids = np.concatenate([part.grids for part in parts])
+    # Without inflation the maps as served are the stored ones themselves.
+    is_inflated = parts[0].grids is not stored_maps[0].grids
+    stored_grids = np.concatenate([maps.grids for maps in stored_maps]) if is_inflated else grids
+    return SampledProblems(
+        StoredMaps(
+            np.concatenate([maps.numbers for maps in stored_maps]),
+            stored_grids,
+            np.concatenate(terrains) if terrains else None,
+        ),
+        grids,
+        np.concatenate([part.ends for part in parts]),
+        _joined_paths([part.paths for part in parts]),
+    )
+
+
+def _joined_paths(parts: Sequence[Paths | None]) -> Paths | None:
+    """Return the paths of all parts, one part after another; None if a part has none."""
+    paths = [part for part in parts if part is not None]
+    if len(paths) < len(parts):
+        return None
+    return Paths(
+        np.concatenate([part.cells for part in paths]),
+        offsets_of(np.concatenate([np.diff(part.offsets) for part in paths])),
+        np.concatenate([part.iterations for part in paths]),
+    )
 
 
 @cache
@@ -410,11 +445,15 @@ class ProblemDataset(Dataset[Sample], ABC):
 class SampledProblemDataset(ProblemDataset):
     """Random problems on the maps of a split: what `MapDataset` and `OnlineMapDataset` share.
 
-    Map p is the p-th map of the split, and problem i is first sampled on map i.
+    Map p is the p-th map of the split. Problem i is first sampled on map i, or on map ``i // k`` if
+    there are k problems per map.
     """
 
     _min_clearance: int
     """Clearance of the cells that are served as free, as from `min_squared_clearance`."""
+
+    report_tried: Advance = staticmethod(no_bar)
+    """Called with the number of maps on which problems were sought just now, for a progress bar."""
 
     @abstractmethod
     def _stored_maps(self, map_numbers: Ints) -> StoredMaps:
@@ -425,8 +464,9 @@ class SampledProblemDataset(ProblemDataset):
         """Return the numbers in the dataset of maps that have these numbers in the split, (B,)."""
 
     def _own_maps(self, problems: Ints) -> Ints | None:
-        is_stored = not isinstance(self.serving.problems, Random)
-        return None if is_stored else self._map_indices(problems)
+        source = self.serving.problems
+        is_stored = not isinstance(source, Random)
+        return None if is_stored else self._map_indices(problems // source.per_map)
 
     @abstractmethod
     def _radius_in_cells(self) -> float:
@@ -469,36 +509,57 @@ class SampledProblemDataset(ProblemDataset):
         return grids
 
     @abstractmethod
-    def _substitutes(self, indices: Ints, attempt: int) -> Ints:
-        """Return the maps to try next where earlier maps had no problem for samples ``indices``.
+    def _substitutes(self, indices: Ints, epoch: int, numbers: Ints) -> Ints:
+        """Return the maps that take the place of those without a problem, (B,).
+
+        docs/format.md, section 6, has the rule.
 
         Args:
-            indices: (B,) numbers of the samples.
-            attempt: number of the substitute, from 1 on.
+            indices: (B,) numbers of the problems.
+            epoch: pass over the data.
+            numbers: (B,) which substitute of the problem it is, from 1 on.
         """
 
     def _problems(self, indices: Ints, epoch: int) -> Batch:
         """Return problems ``indices`` of an epoch.
 
-        Each of them is sampled on its own map, or on a substitute if that map has none.
+        Each of them is sampled on its own map, or on a substitute if that map has none. Which one
+        depends on the problem and its maps alone, never on the batch or on other problems.
+
+        Raises:
+            ValueError: a problem is on none of as many maps as `most_maps` allows.
         """
-        maps = indices.copy()
-        problems = self._sample(maps, indices, epoch, attempt=0)
-        attempt = 0
-        failed_draws = 0
+        maps = indices // self.serving.problems.per_map
+        problems = self._sample_in_parts(maps, indices, epoch)
+        most = most_maps(self.serving.problems, self.map_size, DRAWS)
+        tried = np.ones(len(indices), np.int64)  # maps of each problem
+        failed_in_a_row = 0  # maps of any problem of the batch
         missing = np.flatnonzero(problems.ends[:, 0] < 0)
         while len(missing):
-            if failed_draws > MAX_FAILED_DRAWS:
-                raise ValueError(self._no_problem_complaint())
-            attempt += 1
-            maps[missing] = self._substitutes(indices[missing], attempt)
-            sampled = self._sample(maps[missing], indices[missing], epoch, attempt)
-            problems = problems.replace_rows(missing, sampled)
-            if (sampled.ends >= 0).any():
-                failed_draws = 0
-            else:
-                failed_draws += len(missing) * DRAWS * (2 * attempt + 1)
-            missing = np.flatnonzero(problems.ends[:, 0] < 0)
+            # After many failures in a row the first problem is sought alone. So the error comes
+            # when one problem has been sought in vain, not when all of the batch have been.
+            rows = missing[: self._maps_at_once] if failed_in_a_row < most // 8 else missing[:1]
+            if (tried[rows] >= most).any():
+                row = rows[np.argmax(tried[rows] >= most)]
+                raise ValueError(self._no_problem_complaint(int(indices[row]), epoch, most))
+            ahead = self._substitutes_ahead(tried[rows], most)
+            repeated_rows = np.repeat(rows, ahead)
+            numbers = tried[repeated_rows] + np.tile(np.arange(ahead), len(rows))
+            tried_indices = indices[repeated_rows]
+            tried_maps = self._substitutes(tried_indices, epoch, numbers)
+            # A substitute has draws of its own, those of a problem beyond the end of the dataset.
+            keys = tried_indices + numbers * len(self)
+            sampled = self._sample(tried_maps, keys, epoch)
+            self.report_tried(len(tried_maps))
+            tried[rows] += ahead
+            places = np.flatnonzero(sampled.ends[:, 0] >= 0)
+            failed_in_a_row = 0 if len(places) else failed_in_a_row + len(tried_maps)
+            found_rows, first_places = np.unique(repeated_rows[places], return_index=True)
+            places = places[first_places]  # the first success of each problem
+            if len(places):
+                maps[found_rows] = tried_maps[places]
+                problems = problems.with_rows(found_rows, sampled, places)
+                missing = np.setdiff1d(missing, found_rows)
         stored_maps = problems.stored_maps
         starts = np.ascontiguousarray(problems.ends[:, :2])
         goals = np.ascontiguousarray(problems.ends[:, 2:])
@@ -507,40 +568,102 @@ class SampledProblemDataset(ProblemDataset):
             batch.paths = problems.paths
         return batch
 
-    def _no_problem_complaint(self) -> str:
-        """Return the error for conditions or a radius that no map meets."""
+    @property
+    def _maps_at_once(self) -> int:
+        """The number of maps that problems are sampled on at once."""
+        rows, columns = self.map_size
+        return max(CELLS_AT_ONCE // (rows * columns), 1)
+
+    def _substitutes_ahead(self, tried: Ints, most: int) -> int:
+        """Return how many substitutes of each problem are tried at once.
+
+        They are at most an eighth of those that have failed, so that little work is done in vain.
+        On terrain it is one: a cost that is too high raises an error, which a map must not raise
+        that comes after the one that is served.
+
+        Args:
+            tried: (B,) maps that were tried for each problem.
+            most: number of maps that are tried before there is an error.
+        """
+        if self.has_terrain:
+            return 1
+        ahead = min(tried.min() // 8, self._maps_at_once // len(tried), most - tried.max())
+        return max(int(ahead), 1)
+
+    def _no_problem_complaint(self, index: int, epoch: int, most: int) -> str:
+        """Return the error for a problem that is on none of its first ``most`` maps."""
         problems = self.serving.problems
-        remedy = "wider conditions" if isinstance(problems, Random) else "other maps"
+        is_random = isinstance(problems, Random)
+        text = f"problems: got {plain_text(problems)}: none on one map after another"
+        text += f"; {most:,} maps were tried for problem {index} of epoch {epoch}"
+        if isinstance(problems, Random):
+            text += f", and {self._nearest_text(problems, index, epoch, most)}"
+        remedy = "wider conditions" if is_random else "other maps"
         if self.serving.radius:
             remedy += f", or a smaller radius than {self.serving.radius:g} m"
-        asked_for = plain_text(problems)
-        return f"problems: got {asked_for}: none on one map after another; take {remedy}"
+        return f"{text}; take {remedy}"
 
-    def _sample(
-        self, map_numbers: Ints, indices: Ints, epoch: int, attempt: int
-    ) -> SampledProblems:
+    def _nearest_text(self, problems: Random, index: int, epoch: int, most: int) -> str:
+        """Return the values nearest to the conditions on the first ``most`` maps of a problem."""
+        seen = nothing_seen()
+        for first in range(0, most, self._maps_at_once):
+            numbers = np.arange(first, min(first + self._maps_at_once, most))
+            indices = np.full(len(numbers), index)
+            maps = indices // problems.per_map
+            is_substitute = numbers > 0
+            maps[is_substitute] = self._substitutes(
+                indices[is_substitute], epoch, numbers[is_substitute]
+            )
+            stored_maps = self._stored_maps(maps)
+            grids = self._inflated(stored_maps.grids)
+            see_values(
+                seen,
+                grids,
+                _inflated_terrain(stored_maps, grids) if self.has_terrain else None,
+                self._given_goals(maps),
+                self.serving.sampling_seed,
+                epoch,
+                indices + numbers * len(self),
+                (0, DRAWS),
+                problems,
+                self.movement,
+            )
+        return nearest_text(seen, problems)
+
+    def _given_goals(self, map_numbers: Ints) -> Ints | None:
+        """Return the goals of random problems on maps, (B, 2); None if goals are drawn."""
+        problems = self.serving.problems
+        if isinstance(problems, Random) and problems.to_first_seed_point:
+            return np.ascontiguousarray(self._seed_points(map_numbers)[:, 0])
+        return None
+
+    def _sample_in_parts(self, map_numbers: Ints, indices: Ints, epoch: int) -> SampledProblems:
+        """Do what `_sample` does, with some of the maps at a time, which it reports."""
+        parts = []
+        for first in range(0, max(len(indices), 1), self._maps_at_once):
+            part = slice(first, first + self._maps_at_once)
+            parts.append(self._sample(map_numbers[part], indices[part], epoch))
+            self.report_tried(len(indices[part]))
+        return parts[0] if len(parts) == 1 else joined(parts)
+
+    def _sample(self, map_numbers: Ints, keys: Ints, epoch: int) -> SampledProblems:
         """Sample a random problem on each map.
-
-        Each attempt has its own draws, so that a substitute does not repeat the draws that failed.
-        Their number grows, because conditions that failed are rare.
 
         Args:
             map_numbers: (B,) numbers of the maps in the split.
-            indices: (B,) numbers of the samples.
+            keys: (B,) the index that the draws of each problem depend on.
             epoch: pass over the data.
-            attempt: 0 for the samples' own maps, then the number of the substitute.
         """
         problems = self.serving.problems
         assert isinstance(problems, Random)
         stored_maps = self._stored_maps(map_numbers)
         grids = self._inflated(stored_maps.grids)
         arguments = (
-            self._seed_points(map_numbers)[:, 0] if problems.to_first_seed_point else None,
+            self._given_goals(map_numbers),
             np.uint64(self.serving.sampling_seed),
             epoch,
-            indices,
-            # DRAWS * (2 * attempt + 1) draws, beginning after those of the attempts before.
-            (DRAWS * attempt**2, DRAWS * (attempt + 1) ** 2),
+            keys,
+            (0, DRAWS),
             *problems.conditions,
             move_rule(self.movement),
         )
@@ -590,9 +713,9 @@ class MapDataset(SampledProblemDataset):
             of the sample.
         problems: which problems are served: a `Route`, `Pairs` or `Random`, or its name, "route"
             (the stored segments between consecutive rooms), "pairs" (all pairs of rooms i < j) or
-            "random" (one problem a map, sampled anew each epoch); or plain JSON, ``{"random":
-            {"distance": [10, null]}}``. Problems of length 0 are left out. So are those that have
-            no path under the movement and radius that are served, unless it is
+            "random" (one problem a map, or ``per_map`` of them, sampled anew each epoch); or plain
+            JSON, ``{"random": {"distance": [10, null]}}``. Problems of length 0 are left out. So
+            are those that have no path under the movement and radius that are served, unless it is
             ``Route(unsolvable=True)`` or ``Pairs(unsolvable=True)``.
         search: "astar" or "bfs", whose paths, costs, iterations and matrices are served.
         movement: None for the stored one; a `Movement`; (connectivity, corner_cutting,
@@ -705,7 +828,9 @@ class MapDataset(SampledProblemDataset):
 
     def __len__(self) -> int:
         """Return the number of problems."""
-        return len(self.reader) if self._selected is None else len(self._selected)
+        if self._selected is not None:
+            return len(self._selected)
+        return len(self.reader) * self.serving.problems.per_map
 
     def __repr__(self) -> str:
         root = self.roots[0] if len(self.roots) == 1 else self.roots
@@ -780,11 +905,11 @@ class MapDataset(SampledProblemDataset):
         )
 
     def _counts(self, problems: Source) -> dict[str, int]:
-        """Return the number of stored problems of each split."""
+        """Return the number of problems of each split, of random ones of an epoch."""
         totals = dict.fromkeys(SPLITS, 0)
         for _, _, entry in self.reader.shards:
             for split, count in stored_counts(entry, problems).items():
-                totals[split] += count
+                totals[split] += count * problems.per_map
         return totals
 
     def _problem_counts(self) -> dict[str, int]:
@@ -932,9 +1057,10 @@ class MapDataset(SampledProblemDataset):
             else super()._rooms(map_numbers, grids, compute_stored_maps)
         )
 
-    def _substitutes(self, indices: Ints, attempt: int) -> Ints:
-        """Return the maps that follow those of the samples; the first map follows the last."""
-        return (indices + attempt) % len(self.reader)
+    def _substitutes(self, indices: Ints, epoch: int, numbers: Ints) -> Ints:
+        """Draw each map from the whole split, so that no map replaces more others than the rest."""
+        seed = np.uint64(self.serving.sampling_seed)
+        return draw_substitutes(seed, indices, epoch, numbers, len(self.reader))
 
 
 def _field_tensor(name: str, values: Any, count: int) -> Tensor:

@@ -55,14 +55,14 @@ class Paths(NamedTuple):
     offsets: Ints
     iterations: Ints
 
-    def with_rows(self, rows: Ints, replacements: Paths) -> Paths:
-        """Return these paths with path ``rows[k]`` replaced by path k of ``replacements``."""
+    def with_rows(self, rows: Ints, others: Paths, places: Ints) -> Paths:
+        """Return these paths with path ``rows[k]`` replaced by path ``places[k]`` of others."""
         paths = np.split(self.cells, self.offsets[1:-1])
-        new_paths = np.split(replacements.cells, replacements.offsets[1:-1])
-        for row, new_path in zip(rows, new_paths, strict=True):
-            paths[row] = new_path
+        other_paths = np.split(others.cells, others.offsets[1:-1])
+        for row, place in zip(rows, places, strict=True):
+            paths[row] = other_paths[place]
         iterations = self.iterations.copy()
-        iterations[rows] = replacements.iterations
+        iterations[rows] = others.iterations[places]
         lengths = [len(path) for path in paths]
         return Paths(np.concatenate(paths), offsets_of(lengths), iterations)
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from mapdata.arrays import Ints
+from mapdata.arrays import Bytes, Ints
 from mapdata.checks import check_count
 from mapdata.datasets.arguments import (
     DEFAULT_FIELDS,
@@ -29,7 +29,7 @@ from mapdata.generators.recipe import (
     check_reproducible,
     generate,
 )
-from mapdata.generators.splits import draw_splits, maps_of_split, split_thresholds
+from mapdata.generators.splits import SplitMaps, draw_splits, maps_of_split, split_thresholds
 from mapdata.limits import SPLITS
 from mapdata.problems.sampling import solve_pairs
 from mapdata.problems.sources import Random, Route, SourceLike, problem_source
@@ -45,15 +45,16 @@ class OnlineMapDataset(SampledProblemDataset):
     The maps are those that shards of the same spec and seed hold.
 
     Sample i is of the i-th map of the recipe, or of the i-th one that belongs to ``split``. Route
-    and pairs problems are one segment or pair of the map, drawn anew each epoch. A map without any
-    such problem is replaced by one of the ``length`` maps that follow those of the samples.
+    and pairs problems are one segment or pair of the map, drawn anew each epoch. With
+    ``Random(per_map=k)`` sample i is of map ``i // k``. A map without any such problem is replaced
+    by one of the maps that follow those of the samples, and by another one for each sample.
 
     Args:
         recipe: which maps: a preset's name, a recipe file, its JSON text or mapping, a
             `MapGenerator` or a `Recipe`.
         seed: 64-bit seed of the maps; the recipe's by default, 0 for a preset or generator.
         length: number of problems; the recipe's number of maps by default, 10,000 for a preset or
-            generator.
+            generator, times the number of problems per map.
         split: as in `MapDataset`, like all further arguments.
 
     Raises:
@@ -61,7 +62,7 @@ class OnlineMapDataset(SampledProblemDataset):
             not draw the same map twice.
     """
 
-    _opened = ("_maps_of_split",)
+    _opened = ("_first_maps", "_split_maps")
 
     def __init__(
         self,
@@ -99,7 +100,8 @@ class OnlineMapDataset(SampledProblemDataset):
         self.generator = recipe.generator
         super().__init__(split, serving)
         self.seed = recipe.seed
-        self.length = recipe.maps if length is None else check_count("length", length)
+        default_length = recipe.maps * serving.problems.per_map
+        self.length = default_length if length is None else check_count("length", length)
         self.movement = serving.movement or self.generator.movement
         self.map_size = self.generator.map_size
         self.has_terrain = self.generator.has_terrain
@@ -108,12 +110,14 @@ class OnlineMapDataset(SampledProblemDataset):
         self._open()
 
     def _open(self) -> None:
-        # The indices of the split's maps in the recipe; None if these are all maps. The first
-        # `length` maps are those of the samples. As many again are their substitutes.
-        self._maps_of_split = None
+        # The numbers of the split's maps in the recipe: those of the samples, and all of them, for
+        # the substitutes. None if the split has all maps of the recipe.
+        self._first_maps = None
+        self._split_maps = None
         if self.split is not None:
-            map_count = 2 * self.length
-            self._maps_of_split = maps_of_split(self.generator, self.seed, self.split, map_count)
+            count = self._map_count
+            self._first_maps = maps_of_split(self.generator, self.seed, self.split, count)
+            self._split_maps = SplitMaps(self.generator, self.seed, self.split)
 
     def __len__(self) -> int:
         """Return the number of problems."""
@@ -135,23 +139,26 @@ class OnlineMapDataset(SampledProblemDataset):
     def info(self) -> DatasetInfo:
         """Where the maps come from, their counts, and what a sample holds.
 
-        Each problem counts as one map, although a map without a problem is replaced by another map.
-        The shapes of the fields are those of the first sample, which is made for it.
+        The maps are those that samples are first sought on, although a map without a problem is
+        replaced by another map. The shapes of the fields are those of the first sample, which is
+        made for it.
         """
         if self.split is not None:
-            counts = {self.split: self.length}
+            map_counts = {self.split: self._map_count}
+            problem_counts = {self.split: self.length}
         else:
             thresholds = split_thresholds(self.generator.splits)
-            codes = draw_splits(np.uint64(self.seed), np.arange(self.length), thresholds)
-            split_counts = np.bincount(codes, minlength=len(SPLITS)).tolist()
-            counts = dict(zip(SPLITS, split_counts, strict=True))
+            codes = draw_splits(np.uint64(self.seed), np.arange(self._map_count), thresholds)
+            codes_of_problems = np.repeat(codes, self.serving.problems.per_map)[: self.length]
+            map_counts = _split_counts(codes)
+            problem_counts = _split_counts(codes_of_problems)
         return DatasetInfo(
             roots=(),
-            recipes=(Recipe(self.generator, self.seed, self.length),),
+            recipes=(Recipe(self.generator, self.seed, self._map_count),),
             identities=(identity(self.generator, self.seed),),
             content_hashes=(None,),
-            map_counts=counts,
-            problem_counts=dict(counts),
+            map_counts=map_counts,
+            problem_counts=problem_counts,
             map_size=self.map_size,
             resolution=self.generator.resolution,
             movement=self.movement,
@@ -159,15 +166,25 @@ class OnlineMapDataset(SampledProblemDataset):
             fields=field_infos(self._load(np.array([0]), 0)),
         )
 
+    @property
+    def _map_count(self) -> int:
+        """The number of maps that samples are first sought on."""
+        return -(-self.length // self.serving.problems.per_map)  # rounded up
+
     def _maps(self, map_numbers: Ints) -> Maps:
         """Return maps by their numbers in the split."""
         return generate(self.generator, self.seed, self._map_indices(map_numbers))
 
     def _map_indices(self, map_numbers: Ints) -> Ints:
-        return map_numbers if self._maps_of_split is None else self._maps_of_split[map_numbers]
+        if self._first_maps is None or self._split_maps is None:
+            return map_numbers
+        is_own = map_numbers < len(self._first_maps)
+        if is_own.all():
+            return self._first_maps[map_numbers]
+        return self._split_maps.at(map_numbers)
 
     def _own_maps(self, problems: Ints) -> Ints:
-        return self._map_indices(problems)
+        return self._map_indices(problems // self.serving.problems.per_map)
 
     def _stored_maps(self, map_numbers: Ints) -> StoredMaps:
         return _as_stored_maps(self._maps(map_numbers))
@@ -178,20 +195,18 @@ class OnlineMapDataset(SampledProblemDataset):
     def _seed_points(self, map_numbers: Ints) -> Ints:
         return self._maps(map_numbers).seed_points
 
-    def _substitutes(self, indices: Ints, attempt: int) -> Ints:
-        """Return maps from the second half of the 2 * length maps, which belong to no sample.
+    def _substitutes(self, indices: Ints, epoch: int, numbers: Ints) -> Ints:
+        """Return maps behind those of the samples, each of which replaces a map of one sample.
 
-        Sample i gets map length + i first, then the maps that follow it; after the last map comes
-        the first one of the second half.
+        With one problem per map, substitute u of sample i is map i + u * length.
         """
-        return self.length + (indices + attempt - 1) % self.length
+        del epoch  # The substitutes of a sample are the same in all epochs.
+        return self._map_count + (numbers - 1) * self.length + indices
 
-    def _sample(
-        self, map_numbers: Ints, indices: Ints, epoch: int, attempt: int
-    ) -> SampledProblems:
+    def _sample(self, map_numbers: Ints, keys: Ints, epoch: int) -> SampledProblems:
         problems = self.serving.problems
         if isinstance(problems, Random):
-            return super()._sample(map_numbers, indices, epoch, attempt)
+            return super()._sample(map_numbers, keys, epoch)
         maps = self._maps(map_numbers)
         stored_maps = _as_stored_maps(maps)
         grids = self._inflated(stored_maps.grids)
@@ -201,7 +216,7 @@ class OnlineMapDataset(SampledProblemDataset):
             maps.rooms,
             np.uint64(self.serving.sampling_seed),
             epoch,
-            indices,
+            keys,
             isinstance(problems, Route),
             problems.unsolvable,
         )
@@ -221,3 +236,9 @@ class OnlineMapDataset(SampledProblemDataset):
 def _as_stored_maps(maps: Maps) -> StoredMaps:
     """Return generated maps as those of a batch, before inflation."""
     return StoredMaps(maps.index, maps.occupancy, maps.terrain)
+
+
+def _split_counts(codes: Bytes) -> dict[str, int]:
+    """Return how many of the splits (N,) are train, val and test."""
+    counts = np.bincount(codes, minlength=len(SPLITS)).tolist()
+    return dict(zip(SPLITS, counts, strict=True))

@@ -16,7 +16,7 @@ import numpy as np
 from mapdata._version import __version__
 from mapdata.arrays import Array, Ints
 from mapdata.checks import check_choice, check_count, check_flag, did_you_mean
-from mapdata.datasets.dataset import MapDataset, ProblemDataset
+from mapdata.datasets.dataset import MapDataset, ProblemDataset, SampledProblemDataset
 from mapdata.datasets.fields import FIELDS
 from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.problem_set_dataset import ProblemSetDataset
@@ -110,8 +110,8 @@ def export_problems(
         split: "train", "val" or "test"; None for all that the format has a place for, and for
             "test" of a `ProblemSet`.
         count: problems of each split. Default: all stored ones; of a recipe, one on each of its
-            maps. More random problems than a built dataset has maps use the maps again, with new
-            starts and goals. Of a recipe each problem is on another map, however many.
+            maps, or `Random.per_map` of them. More random problems of a built dataset use its maps
+            again, with new starts and goals; more of a recipe are on further maps.
         problems: as in `MapDataset`; default "route", and in layouts what their repository draws.
         search: as in `MapDataset`.
         movement: as in `MapDataset`; layouts have the rule of their repository as default.
@@ -261,7 +261,7 @@ class _Part:
     """
 
     split: str
-    dataset: ProblemDataset
+    dataset: SampledProblemDataset
     count: int
 
     def batches(self, max_batch: int) -> Iterator[Columns]:
@@ -503,7 +503,7 @@ def _online_part(recipe: Recipe, options: _Options, split: str, count: int | Non
     """Return the problems of a split of maps that are made on the fly."""
     if count is None:
         indices = maps_of_split(recipe.generator, recipe.seed, split, recipe.maps)
-        count = int((indices < recipe.maps).sum())
+        count = int((indices < recipe.maps).sum()) * options.problems.per_map
         if count == 0:
             raise ValueError(f"split: none of the {recipe.maps} maps of the recipe is in {split!r}")
     dataset = OnlineMapDataset(
@@ -624,7 +624,15 @@ def _write(
     indices_of_batches: dict[str, list[Ints]] = defaultdict(list)
     total = sum(part.count for part in parts)
     with bar(progress, total, unit=" problems") as advance:
+        tried = 0
+
+        def report_tried(maps: int) -> None:
+            nonlocal tried
+            tried += maps
+            advance(0, f"{tried:,} maps tried")
+
         for part in parts:
+            part.dataset.report_tried = report_tried
             for served in part.batches(max_batch):
                 indices_of_batches[part.split].append(served["map_index"])
                 columns = {name: served[name] for name in fields}
@@ -661,9 +669,10 @@ def _map_notes(parts: Sequence[_Part], map_indices: Mapping[str, Ints]) -> list[
     for part in parts:
         _, problems_on_map = np.unique(map_indices[part.split], return_counts=True)
         map_count = len(problems_on_map)
-        # Random problems of an epoch are one on each map, as long as each map has one.
-        possible_maps = min(part.count, len(part.dataset))
-        is_random = isinstance(part.dataset.serving.problems, Random)
+        # Random problems of an epoch are evenly on all maps, as long as each map has some.
+        source = part.dataset.serving.problems
+        possible_maps = -(-min(part.count, len(part.dataset)) // source.per_map)  # rounded up
+        is_random = isinstance(source, Random)
         if is_random and map_count < _FEW_MAPS * possible_maps:
             notes.append(
                 f"{part.split}: these {part.count:,} problems are on {map_count:,} different maps "

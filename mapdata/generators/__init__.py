@@ -16,7 +16,7 @@ from mapdata.generators.mazes import Maze
 from mapdata.generators.points import draw_points, largest_component, with_seed_points
 from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe, generate
 from mapdata.generators.rooms import MapSpec
-from mapdata.generators.splits import draw_splits, maps_of_split, split_thresholds
+from mapdata.generators.splits import SplitMaps, draw_splits, maps_of_split, split_thresholds
 from mapdata.generators.terrain import Terrain
 
 register(MapSpec, rooms.PRESETS)
@@ -37,6 +37,7 @@ __all__ = [
     "Maze",
     "Recipe",
     "RecipeLike",
+    "SplitMaps",
     "Terrain",
     "UnknownFamily",
     "as_recipe",

@@ -6,7 +6,7 @@ import hashlib
 import math
 import re
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -22,9 +22,11 @@ from mapdata.generators.recipe import RecipeLike, as_recipe, generate
 from mapdata.hashing import canonical_json
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
+from mapdata.problems.nearest import nearest_text, nothing_seen, see_values
 from mapdata.problems.sampling import sample_problems, solve_pairs
 from mapdata.problems.set_file import StoredSet, different_maps, hash_fault, read_set, write_set
 from mapdata.problems.sources import Random, Route, Source, SourceLike, problem_source
+from mapdata.problems.substitutes import most_maps
 from mapdata.problems.terrain_sampling import solve_terrain_pairs
 from mapdata.search.api import (
     BatchResult,
@@ -39,6 +41,7 @@ from mapdata.search.terrain import min_cell_costs
 from mapdata.shards.files import StrPath
 from mapdata.shards.locations import Locations
 from mapdata.shards.root import Root
+from mapdata.shards.workers import bar
 
 _DRAWS = (0, 1000)
 """First and last (excluded) draw that is tried on a map. A dataset tries fewer of them before it
@@ -49,7 +52,10 @@ _PART_CELLS = 2**24
 """Cells of the repeated maps of the problems that are solved at a time."""
 
 _CHUNK_SIZE = 256
-"""Maps that are drawn and searched at a time."""
+"""Maps that are drawn at a time."""
+
+_PROBLEMS_AT_ONCE = 16
+"""Problems that are sampled between two steps of a progress bar, at least those of one map."""
 
 _MAPS_PER_HARD_PROBLEM = 1000
 """Maps that are tried for each hard problem. Where hard problems are rarer, nobody would wait."""
@@ -430,8 +436,9 @@ class ProblemSet:
         problems: SourceLike = Random(distance=(10, None)),
         until_hard: int | None = None,
         radius: float = 0.0,
+        progress: bool = False,
     ) -> ProblemSet:
-        """Sample one problem on each map 0, 1, ... of a recipe.
+        """Sample one problem on each map 0, 1, ... of a recipe, or `Random.per_map` of them.
 
         The problem on a map is that of a dataset in epoch 0, wherever one of the dataset's 32 draws
         meets the conditions.
@@ -440,7 +447,8 @@ class ProblemSet:
         `Random.to_first_seed_point`; the start is a uniform one of the cells that reach it and are
         far enough. Where the problem does not meet all conditions, both are drawn anew, up to 1,000
         draws in all; then the map is left out. The problem on map i is a pure function of
-        (generator, seed, i), of the conditions and of ``movement``.
+        (generator, seed, i), of the conditions and of ``movement``. With ``per_map`` = k, problem j
+        on map i is drawn as that of map k i + j would be.
 
         With "route" or "pairs" the problem is a uniform one of the map's segments or pairs of seed
         points, as `OnlineMapDataset` draws it; a map where none has a path is left out. The only
@@ -463,11 +471,12 @@ class ProblemSet:
             until_hard: stop at the map that brings the number of hard problems to this.
             radius: of the robot, in metres: maps are those of `mapdata.inflate` (with terrain
                 `mapdata.inflate_terrain`) for ``radius / resolution`` cells.
+            progress: show a progress bar of the maps that were tried.
 
         Raises:
-            ValueError: no recipe; no map with a problem; fewer hard problems than ``until_hard``;
-                problems without a path (``unsolvable=True``); terrain with costs that are too high
-                to be exact.
+            ValueError: no recipe; no map with a problem, or none among the first maps, after about
+                10 s of search; fewer hard problems than ``until_hard``; problems without a path
+                (``unsolvable=True``); terrain with costs that are too high to be exact.
 
         >>> from mapdata import Movement
         >>> len(ProblemSet.sample("dungeon", seed=77, maps=20, movement=Movement(8)))
@@ -483,18 +492,26 @@ class ProblemSet:
         if maps is None and until_hard is not None:
             maps = _MAPS_PER_HARD_PROBLEM * check_count("until_hard", until_hard)
         recipe = as_recipe(recipe, seed=seed, maps=maps)
-        chunks = (
-            range(start, min(start + _CHUNK_SIZE, recipe.maps))
-            for start in range(0, recipe.maps, _CHUNK_SIZE)
-        )
+
+        def batches() -> Iterator[_MapBatch]:
+            for start in range(0, recipe.maps, _CHUNK_SIZE):
+                chunk = range(start, min(start + _CHUNK_SIZE, recipe.maps))
+                yield _map_batch(generate(recipe, indices=chunk), slice(None))
+
+        source = problem_source(problems)
         return _sample_until(
-            (_map_batch(generate(recipe, indices=chunk), slice(None)) for chunk in chunks),
-            problems=problems,
+            batches,
+            problems=source,
             until_hard=until_hard,
             seed=recipe.seed,
             movement=movement or recipe.generator.movement,
             min_clearance=min_squared_clearance(radius, recipe.generator.resolution),
             source=f"the maps with identity {identity(recipe.generator, recipe.seed)[:12]}",
+            map_count=recipe.maps,
+            # All maps of a recipe are alike: where the first ones have no problem, all may have
+            # none.
+            most=most_maps(source, recipe.generator.map_size, _DRAWS[1] * source.per_map),
+            progress=progress,
         )
 
     @staticmethod
@@ -509,8 +526,11 @@ class ProblemSet:
         until_hard: int | None = None,
         radius: float = 0.0,
         follow_links: bool = False,
+        progress: bool = False,
     ) -> ProblemSet:
         """Sample one problem on each map of a split of a dataset, as `sample` does.
+
+        All maps of the split are tried, since its problems may all be on the last ones.
 
         Args:
             root: folder or URL of the dataset, or several.
@@ -522,6 +542,7 @@ class ProblemSet:
             until_hard: stop at the map that brings the number of hard problems to this.
             radius: of the robot, in metres, as for `sample`.
             follow_links: read files that are links out of their folder.
+            progress: show a progress bar of the maps that were tried.
 
         Raises:
             DatasetNotFoundError: there is no dataset under ``root``.
@@ -546,17 +567,25 @@ class ProblemSet:
         code = SPLITS.index(split)
         # Without a radius, roots may have several resolutions, which `dataset.resolution` refuses.
         min_clearance = min_squared_clearance(radius, dataset.resolution) if radius else 0
-        batches = (
-            _map_batch(labels.maps, labels.maps.split == code) for labels in dataset.labels()
-        )
+        max_maps = sys.maxsize if maps is None else check_count("maps", maps)
+
+        def batches() -> Iterator[_MapBatch]:
+            stored = (
+                _map_batch(labels.maps, labels.maps.split == code) for labels in dataset.labels()
+            )
+            return _first_maps(stored, max_maps)
+
         return _sample_until(
-            _first_maps(batches, sys.maxsize if maps is None else check_count("maps", maps)),
-            problems=problems,
+            batches,
+            problems=problem_source(problems),
             until_hard=until_hard,
             seed=check_seed(seed),
             movement=movement or dataset.movement,
             min_clearance=min_clearance,
             source=f"split {split} of {dataset}",
+            map_count=min(max_maps, map_counts[split]),
+            most=sys.maxsize,
+            progress=progress,
         )
 
 
@@ -690,8 +719,11 @@ def _load(path: Path) -> tuple[ProblemSet, str | None]:
 class _MapBatch(NamedTuple):
     """B maps to sample problems on.
 
+    With several problems per map, each map is there as often, one after another.
+
     Attributes:
         indices: (B,) int64, number of each map.
+        keys: (B,) int64, number of the problem, which its draws depend on.
         grids: (B, H, W) uint8.
         terrain: (B, H, W) uint8, or None.
         seed_points: (B, R, 2) int64.
@@ -699,20 +731,28 @@ class _MapBatch(NamedTuple):
     """
 
     indices: Ints
+    keys: Ints
     grids: Bytes
     terrain: Bytes | None
     seed_points: Ints
     seed_point_counts: Ints
 
-    def select(self, rows: Flags | slice) -> _MapBatch:
+    def select(self, rows: Flags | Ints | slice) -> _MapBatch:
         """Return the maps that ``rows`` selects."""
         return _MapBatch(
             self.indices[rows],
+            self.keys[rows],
             self.grids[rows],
             None if self.terrain is None else self.terrain[rows],
             self.seed_points[rows],
             self.seed_point_counts[rows],
         )
+
+    def repeated(self, per_map: int) -> _MapBatch:
+        """Return the maps with each of them ``per_map`` times."""
+        batch = self.select(np.repeat(np.arange(len(self.indices)), per_map))
+        first_keys = batch.indices * per_map
+        return batch._replace(keys=first_keys + np.tile(np.arange(per_map), len(self.indices)))
 
 
 class _SampledProblems(NamedTuple):
@@ -745,7 +785,9 @@ class _SampledProblems(NamedTuple):
 
 def _map_batch(maps: Maps, rows: Flags | slice) -> _MapBatch:
     """Return the maps that ``rows`` selects."""
-    batch = _MapBatch(maps.index, maps.occupancy, maps.terrain, maps.seed_points, maps.rooms)
+    batch = _MapBatch(
+        maps.index, maps.index, maps.occupancy, maps.terrain, maps.seed_points, maps.rooms
+    )
     return batch.select(rows)
 
 
@@ -759,23 +801,42 @@ def _first_maps(batches: Iterable[_MapBatch], max_maps: int) -> Iterator[_MapBat
             return
 
 
+def _parts(batches: Iterable[_MapBatch], per_map: int) -> Iterator[_MapBatch]:
+    """Yield the maps of all batches, some of them at a time, each ``per_map`` times."""
+    maps_at_once = max(_PROBLEMS_AT_ONCE // per_map, 1)
+    for batch in batches:
+        for first in range(0, len(batch.indices), maps_at_once):
+            yield batch.select(slice(first, first + maps_at_once)).repeated(per_map)
+
+
 def _sample_until(
-    batches: Iterable[_MapBatch],
+    batches: Callable[[], Iterable[_MapBatch]],
     *,
-    problems: SourceLike,
+    problems: Source,
     until_hard: int | None,
     seed: int,
     movement: Movement,
     min_clearance: int,
     source: str,
+    map_count: int,
+    most: int,
+    progress: bool,
 ) -> ProblemSet:
-    """Sample a problem on each map of the batches, until there are enough hard problems.
+    """Sample the problems of each map of the batches, until there are enough hard problems.
 
-    The arguments are those of `ProblemSet.sample`, with ``min_clearance``, the clearance from which
-    on cells are free, in the unit of `min_squared_clearance`; and ``source``, which says where the
-    maps come from in the description and in errors.
+    Args:
+        batches: returns the maps.
+        problems: the source of the problems.
+        until_hard: as for `ProblemSet.sample`.
+        seed: of the problems.
+        movement: the rule of moves.
+        min_clearance: the clearance from which on cells are free, in the unit of
+            `min_squared_clearance`.
+        source: says where the maps come from in the description and in errors.
+        map_count: number of maps.
+        most: number of maps that are tried at most before one has a problem.
+        progress: whether a progress bar shows how many maps were tried.
     """
-    problems = problem_source(problems)
     if problems.unsolvable:
         raise ValueError(
             f"problems: got {problems!r}, expected unsolvable=False: a set holds problems that "
@@ -783,21 +844,32 @@ def _sample_until(
         )
     if until_hard is not None:
         check_count("until_hard", until_hard)
-    parts = []
+    parts: list[_SampledProblems] = []
     hard_count = 0
-    for batch in batches:
-        part = _sample_on(batch, problems, seed, movement, min_clearance)
-        if until_hard is not None:
-            part, hard_in_part = _until_hard(part, until_hard - hard_count, movement)
-            hard_count += hard_in_part
-        parts.append(part)
-        if hard_count == until_hard:
-            break
-    if not any(len(part.indices) for part in parts):
+    tried = 0  # maps
+    with bar(progress, map_count, unit=" maps tried") as advance:
+        for batch in _parts(batches(), problems.per_map):
+            maps_in_batch = len(batch.indices) // problems.per_map
+            part = _sample_on(_inflated(batch, min_clearance), problems, seed, movement)
+            if until_hard is not None:
+                part, hard_in_part = _until_hard(part, until_hard - hard_count, movement)
+                hard_count += hard_in_part
+            if len(part.indices):
+                parts.append(part)
+            tried += maps_in_batch
+            advance(maps_in_batch)
+            if hard_count == until_hard or (not parts and tried >= most):
+                break
+    if not parts:
+        tried_batches = _parts(_first_maps(batches(), tried), problems.per_map)
+        nearest = _nearest_text(tried_batches, problems, seed, movement, min_clearance)
         robot = ""
         if min_clearance > 1:  # obstacles are inflated
             robot = f" for a robot with a radius of {_inflation(min_clearance):.3g} cells"
-        raise ValueError(f"{source}: no map has a problem that meets {problems}{robot}")
+        raise ValueError(
+            f"{source}: no map has a problem that meets {problems}{robot}; {tried:,} maps were "
+            f"tried{nearest}"
+        )
     if until_hard is not None and hard_count < until_hard:
         raise ValueError(
             f"until_hard: got {until_hard}, found only {hard_count} hard problems on {source}"
@@ -818,24 +890,54 @@ def _sample_until(
     )
 
 
+def _nearest_text(
+    batches: Iterable[_MapBatch],
+    problems: Source,
+    seed: int,
+    movement: Movement,
+    min_clearance: int,
+) -> str:
+    """Return the values nearest to the conditions on maps without a problem, for an error."""
+    if not isinstance(problems, Random):
+        return ""
+    seen = nothing_seen()
+    for batch in batches:
+        inflated = _inflated(batch, min_clearance)
+        see_values(
+            seen,
+            inflated.grids,
+            inflated.terrain,
+            _given_goals(inflated, problems),
+            seed,
+            0,  # epoch
+            inflated.keys,
+            _DRAWS,
+            problems,
+            movement,
+        )
+    return f", and {nearest_text(seen, problems)}"
+
+
 def _inflation(min_clearance: int) -> float:
     """Return a clearance in cells; ``min_clearance`` is in half cells, squared."""
     return math.sqrt(min_clearance) / 2
 
 
-def _sample_on(
-    batch: _MapBatch, problems: Source, seed: int, movement: Movement, min_clearance: int
-) -> _SampledProblems:
-    """Sample a problem on each map; maps without a problem that meets the conditions are left out.
-
-    With a ``min_clearance`` the grids of ``batch`` are inflated in place.
-    """
+def _inflated(batch: _MapBatch, min_clearance: int) -> _MapBatch:
+    """Return maps after inflation; the grids of ``batch`` are changed in place."""
     # Every free cell has a clearance of 1, and the kernel takes seconds to compile.
-    if min_clearance > 1:
-        inflate_all(batch.grids, min_clearance)
-        if batch.terrain is not None:
-            inflated = without_occupied(batch.terrain, batch.grids)
-            batch = batch._replace(terrain=inflated)
+    if min_clearance <= 1:
+        return batch
+    inflate_all(batch.grids, min_clearance)
+    if batch.terrain is None:
+        return batch
+    return batch._replace(terrain=without_occupied(batch.terrain, batch.grids))
+
+
+def _sample_on(
+    batch: _MapBatch, problems: Source, seed: int, movement: Movement
+) -> _SampledProblems:
+    """Sample a problem on each map; maps without one that meets the conditions are left out."""
     if isinstance(problems, Random):
         ends = _sample_random(batch, problems, seed, movement)
     else:
@@ -851,13 +953,20 @@ def _sample_on(
     )
 
 
+def _given_goals(batch: _MapBatch, problems: Random) -> Ints | None:
+    """Return the goals of random problems on maps, (B, 2); None if goals are drawn."""
+    if not problems.to_first_seed_point:
+        return None
+    return np.ascontiguousarray(batch.seed_points[:, 0])
+
+
 def _sample_random(batch: _MapBatch, problems: Random, seed: int, movement: Movement) -> Ints:
     """Return the start and goal of a random problem on each map, (B, 4), -1 where there is none."""
     arguments = (
-        batch.seed_points[:, 0] if problems.to_first_seed_point else None,
+        _given_goals(batch, problems),
         np.uint64(seed),
         0,  # epoch
-        batch.indices,
+        batch.keys,
         _DRAWS,
         *problems.conditions,
         move_rule(movement),

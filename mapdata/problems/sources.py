@@ -8,7 +8,14 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
 
-from mapdata.checks import check_flag, check_number, did_you_mean, items_of, known_values
+from mapdata.checks import (
+    check_count,
+    check_flag,
+    check_number,
+    did_you_mean,
+    items_of,
+    known_values,
+)
 from mapdata.hashing import parsed_json
 
 Band = tuple[float | None, float | None]
@@ -28,6 +35,7 @@ OPEN: Limits = (0.0, math.inf)
 class _BetweenSeedPoints:
     """The parameter that `Route` and `Pairs` share."""
 
+    per_map: ClassVar[int] = 1  # as many as the map has
     unsolvable: bool = False
 
     def __post_init__(self) -> None:
@@ -66,7 +74,7 @@ class Pairs(_BetweenSeedPoints):
 
 @dataclass(frozen=True)
 class Random:
-    """One problem a map between two connected free cells, sampled anew each epoch.
+    """Problems between two connected free cells of a map, sampled anew each epoch.
 
     Each condition is None or a band, (lowest, highest), both included, where None or an infinite
     bound leaves a side open. The attributes hold bands as tuples of floats.
@@ -81,10 +89,13 @@ class Random:
         length: number of cells of a shortest path.
         to_first_seed_point: whether the goal is the map's first seed point, which is where imported
             goals are kept, instead of any free cell.
+        per_map: number of problems on each map. A dataset has so many times more problems: problem
+            i is on map ``i // per_map``. Each is drawn by itself, so on a small map two of them can
+            be equal by chance.
 
     Raises:
-        ValueError: a band is not two numbers in ascending order, or ``to_first_seed_point`` is not
-            a bool.
+        ValueError: a band is not two numbers in ascending order, ``to_first_seed_point`` is not a
+            bool, or ``per_map`` is not an integer of at least 1.
 
     >>> Random(distance=(10, None)).distance
     (10.0, inf)
@@ -97,10 +108,12 @@ class Random:
     hardness: Band | None = None
     length: Band | None = None
     to_first_seed_point: bool = False
+    per_map: int = 1
 
     def __post_init__(self) -> None:
         """Check the values, and convert the bands to floats."""
         check_flag("to_first_seed_point", self.to_first_seed_point)
+        object.__setattr__(self, "per_map", check_count("per_map", self.per_map))
         for name in ("distance", "hardness", "length"):
             band = getattr(self, name)
             if band is not None:
@@ -159,8 +172,11 @@ def problem_source(problems: SourceLike) -> Source:
 
 
 def plain_text(source: Source) -> str:
-    """Return a source as text for `problem_source`: its name, or JSON if it has arguments."""
-    arguments = {name: argument for name, argument in asdict(source).items() if argument}
+    """Return a source as text for `problem_source`: its name, or JSON of what is no default."""
+    defaults = asdict(type(source)())
+    arguments = {
+        name: argument for name, argument in asdict(source).items() if argument != defaults[name]
+    }
     if not arguments:
         return source.name
     return json.dumps({source.name: arguments}).replace("Infinity", "null")

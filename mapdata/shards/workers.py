@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from queue import SimpleQueue
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from tqdm.auto import tqdm
 
@@ -24,16 +26,29 @@ MAX_PENDING_IN_THREADS = 4 * CORES
 Advance = Callable[[int], object]
 """Called with the number of maps, or other units of a progress bar, that were just finished."""
 
+
+class AdvanceWithNote(Protocol):
+    """An `Advance` that also shows a note behind the bar.
+
+    The note may change while nothing is finished, with a count of 0.
+    """
+
+    def __call__(self, count: int, note: str = "") -> object:
+        """Advance the bar by ``count``; an empty note leaves the last one."""
+
+
 _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
 
 
-def no_bar(count: int) -> None:
+def no_bar(count: int, note: str = "") -> None:
     """Ignore progress. Unlike a closure, this function can be pickled for another process."""
 
 
 @contextmanager
-def bar(enabled: bool, total: int, initial: int = 0, unit: str = " maps") -> Iterator[Advance]:
+def bar(
+    enabled: bool, total: int, initial: int = 0, unit: str = " maps"
+) -> Iterator[AdvanceWithNote]:
     """Show a progress bar with rate and remaining time; yield the function that advances it.
 
     The function may be called from any thread. No bar is created where it is not enabled, where
@@ -46,10 +61,18 @@ def bar(enabled: bool, total: int, initial: int = 0, unit: str = " maps") -> Ite
     print_interval = 0.1 if sys.stderr.isatty() else 2.0
     with tqdm(total=total, initial=initial, unit=unit, mininterval=print_interval) as progress_bar:
         lock = threading.Lock()
+        shown = -math.inf  # when the note was printed last
 
-        def advance(count: int) -> None:
+        def advance(count: int, note: str = "") -> None:
+            nonlocal shown
             with lock:  # tqdm itself is not safe to update from several threads
+                if note:
+                    progress_bar.set_postfix_str(note, refresh=False)
                 progress_bar.update(count)
+                # tqdm prints nothing while the count stays.
+                if note and time.monotonic() - shown >= print_interval:
+                    progress_bar.refresh()
+                    shown = time.monotonic()
 
         yield advance
 

@@ -460,8 +460,9 @@ def test_random_problems_are_uniform() -> None:
         assert stats.chisquare(counts).pvalue > 1e-3
 
 
-def test_conditions_that_no_map_meets(root: str) -> None:
+def test_conditions_that_no_map_meets(root: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """An error that names the conditions, instead of a search without end."""
+    monkeypatch.setattr("mapdata.problems.substitutes.MAX_CELLS", 10**6)
     for dataset in (
         MapDataset(root, problems=Random(distance=(1000, None))),
         OnlineMapDataset(samples.SPEC, problems=Random(distance=(1000, None))),
@@ -895,8 +896,9 @@ def test_online_problems_change_with_the_epoch() -> None:
             }
 
 
-def test_online_without_a_single_problem() -> None:
+def test_online_without_a_single_problem(monkeypatch: pytest.MonkeyPatch) -> None:
     """Maps of one cell have none: an error, not a search without end."""
+    monkeypatch.setattr("mapdata.problems.substitutes.MAX_MAPS", 1000)
     generator = MapSpec((1, 1), (2, 3), (1, 1), (1, 1), passage_width=(1, 1))
     for problems in (Route(), Pairs(), Random()):
         with pytest.raises(ValueError, match=f"problems: got {problems.name}: none on"):

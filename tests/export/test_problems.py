@@ -105,6 +105,36 @@ def test_a_recipe_without_a_count_has_a_problem_on_each_of_its_maps(tmp_path: Pa
     assert sum(counts.values()) == 50
 
 
+def test_several_problems_on_each_map_are_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Their number is in ``export.json`` unless it is 1; the bar shows the maps that were tried."""
+    recipe = {"spec": MAZE.to_dict(), "maps": 50}
+    written = {}
+    for per_map in (1, 3):
+        out = tmp_path / str(per_map)
+        problems = {"random": {"per_map": per_map}}
+        notes = export_problems(
+            recipe, out, split="val", problems=problems, fields=("map_index",), progress=True
+        )
+        assert not any("different maps" in note for note in notes)  # none is used too often
+        assert " maps tried" in capsys.readouterr().err
+        text = "random" if per_map == 1 else '{"random": {"per_map": 3}}'
+        assert about(out)["options"]["problems"] == text
+        written[per_map] = np.load(out / "val/map_index.npy")
+    np.testing.assert_array_equal(written[3], np.repeat(written[1], 3))
+
+
+def test_a_condition_that_no_map_meets_ends_an_export(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is left of it."""
+    monkeypatch.setattr("mapdata.problems.substitutes.MAX_CELLS", 0)
+    with pytest.raises(ValueError, match="20 maps were tried for problem 0 of epoch 0"):
+        export_problems(MAZE, tmp_path / "out", count=40, problems=Random(length=(9999, None)))
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_more_random_problems_than_maps_are_those_of_later_epochs(
     root: str, tmp_path: Path
 ) -> None:

@@ -7,7 +7,7 @@ import pytest
 from helpers import reference
 
 from mapdata import MapSpec
-from mapdata.generators import draw_splits, maps_of_split, split_thresholds
+from mapdata.generators import SplitMaps, draw_splits, maps_of_split, split_thresholds
 
 SEED = 2**63 + 5
 SPEC = MapSpec(splits=(0.5, 0.3, 0.2))
@@ -41,3 +41,15 @@ def test_a_split_without_maps_is_refused() -> None:
     for splits in ((0.7, 0.3, 1 - 0.7 - 0.3), (0.9, 0.1, 1e-10)):
         with pytest.raises(ValueError, match="the spec gives no map to 'test'"):
             maps_of_split(MapSpec(splits=splits), 0, "test", 1)
+
+
+@pytest.mark.parametrize("split", ["train", "val", "test"])
+def test_maps_far_behind_are_those_of_the_list(split: str) -> None:
+    """In any order, whatever was asked for before, across the pieces in which they are drawn."""
+    expected = maps_of_split(SPEC, SEED, split, 300_000)
+    maps = SplitMaps(SPEC, SEED, split)
+    for places in ([5, 299_999, 0, 5], [70_000, 1], list(range(290, 310)), []):
+        array = np.array(places, np.int64)
+        assert maps.at(array).tolist() == expected[array].tolist()
+    with pytest.raises(ValueError, match="split: the spec gives no map to 'val'"):
+        SplitMaps(MapSpec(splits=(1.0, 0.0, 0.0)), 0, "val")

@@ -274,6 +274,42 @@ def test_a_sample_without_problems_is_refused() -> None:
         ProblemSet.sample(too_small, 0, 3, movement=Movement(8))
 
 
+def test_several_problems_on_each_map_are_the_references(tmp_path: Path) -> None:
+    """Problem j of k on map m has the index k m + j; of a dataset, m is the number of the map."""
+    problems = Random(distance=(6, None), per_map=3)
+    build(tmp_path, TINY, maps=8, seed=3, workers=1)
+    for found, maps in (
+        (ProblemSet.sample(TINY, 3, 8, problems=problems, movement=Movement()), range(8)),
+        (
+            ProblemSet.read(tmp_path, split="train", problems=problems, movement=Movement()),
+            [m for m in range(8) if reference.reference_split(TINY, 3, m) == 0],
+        ),
+    ):
+        ends = []
+        for m in maps:
+            grid = reference.reference_map(TINY, 3, m).occupancy
+            for j in range(3):
+                drawn = reference_problem(grid, 3, 3 * m + j, problems, Movement(), draws=1000)
+                if drawn is not None:
+                    ends.append((*drawn.start, *drawn.goal))
+        assert 0 < len(ends) <= 3 * len(maps)
+        assert np.hstack((found.starts, found.goals)).tolist() == [list(end) for end in ends]
+
+
+def test_a_sample_ends_after_maps_without_a_problem(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The error says how many, and what came nearest; a bar counts them. A split is tried whole."""
+    monkeypatch.setattr("mapdata.problems.substitutes.MAX_CELLS", 0)
+    long = Random(length=(5000, None))
+    with pytest.raises(ValueError, match=r"; 32 maps were tried, and the longest path seen has"):
+        ProblemSet.sample(TINY, 3, 90, problems=long, movement=Movement(), progress=True)
+    assert "/90" in capsys.readouterr().err
+    # One problem is enough, however late the next one comes.
+    seldom = ProblemSet.sample(TINY, 3, 90, problems=Random((6, None)), movement=Movement())
+    assert 0 < len(seldom) < 90
+
+
 @pytest.mark.parametrize("movement", [Movement(), CUTTING], ids=["4", "cutting"])
 def test_a_saved_set_is_the_same(movement: Movement, tmp_path: Path) -> None:
     """To the last array, with movement and words; its bytes and hash are those of the problems."""

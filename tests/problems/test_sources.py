@@ -37,6 +37,8 @@ SAME: list[tuple[Any, Source, str]] = [
         Random(distance=(5, None), to_first_seed_point=True),
         '{"random": {"distance": [5.0, null], "to_first_seed_point": true}}',
     ),
+    ({"random": {"per_map": 4}}, Random(per_map=4), '{"random": {"per_map": 4}}'),
+    ({"random": {"per_map": 1}}, Random(), "random"),
     (  # as a configuration of another library says it
         UserDict({"random": UserDict({"distance": UserList([10, None])})}),
         Random(distance=(10, None)),
@@ -114,6 +116,9 @@ def test_bad_bands_are_refused_by_name(name: str, band: Any) -> None:
             {"random": {"to_first_seed_point": "false"}},
             "to_first_seed_point: got 'false', expected True or False",
         ),
+        ({"random": {"per_map": 0}}, "per_map: got 0, expected an integer of at least 1"),
+        ({"random": {"per_map": 2.5}}, "per_map: got 2.5, expected an integer"),
+        ({"route": {"per_map": 4}}, "problems: route: unknown key: per_map"),
     ],
 )
 def test_bad_sources_are_refused(value: Any, says: str) -> None:

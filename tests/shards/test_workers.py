@@ -116,6 +116,18 @@ def test_a_bar_shows_maps_rate_and_time_left(capsys: pytest.CaptureFixture[str])
     assert capsys.readouterr() == ("", "")
 
 
+def test_a_bar_shows_a_note_while_its_count_stays(capsys: pytest.CaptureFixture[str]) -> None:
+    """The first note at once; a later one replaces it."""
+    with bar(True, 10, unit=" problems") as advance:
+        advance(0, "16 maps tried")
+        assert " 0/10" in capsys.readouterr().err.rpartition("16 maps tried")[0]
+        advance(10, "32 maps tried")
+    assert "32 maps tried" in capsys.readouterr().err
+    with bar(False, 10) as advance:
+        advance(0, "16 maps tried")
+    assert capsys.readouterr() == ("", "")
+
+
 # --- processes ----------------------------------------------------------------------------------
 
 

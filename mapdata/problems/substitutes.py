@@ -1,0 +1,65 @@
+"""Maps in place of those without a problem: which ones, and how many before there is an error.
+
+docs/format.md, section 6, has these rules.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mapdata.arrays import Ints
+from mapdata.jit import Int, kernel
+from mapdata.limits import Size
+from mapdata.problems.sources import Random, Source
+from mapdata.rng import SUBSTITUTE, block
+
+MAX_CELLS = 4 * 10**8
+"""Cells of the maps of all goals that a problem is sought for in vain, before there is an error.
+
+A goal on a map of H x W cells counts H * W. At 64 x 64 cells the search takes about 10 s then.
+"""
+
+MIN_MAPS = 20
+"""A problem is sought on so many maps, however large they are."""
+
+MAX_MAPS = 100_000
+"""A problem is sought on no more maps than this, however small they are."""
+
+
+def most_maps(problems: Source, map_size: Size, goals: int) -> int:
+    """Return how many maps are tried for a problem before there is an error.
+
+    Args:
+        problems: the problem that is sought. Only random ones have more than one goal a map.
+        map_size: (rows, columns) of all maps.
+        goals: number of goals that are tried on a map before it counts as having no problem.
+    """
+    if not isinstance(problems, Random) or problems.to_first_seed_point:
+        goals = 1
+    rows, columns = map_size
+    maps = -(-MAX_CELLS // (goals * rows * columns))  # rounded up
+    return min(max(maps, MIN_MAPS), MAX_MAPS)
+
+
+@kernel
+def draw_substitutes(
+    seed: np.uint64, indices: Ints, epoch: Int, numbers: Ints, map_count: Int
+) -> Ints:
+    """Return the stored maps that take the place of maps without a problem, (B,).
+
+    Args:
+        seed: sampling seed.
+        indices: (B,) number of each problem.
+        epoch: pass over the data.
+        numbers: (B,) which substitute of the problem it is, from 1 on.
+        map_count: number of maps in the split, all of which are equally probable.
+    """
+    places = np.empty(len(indices), np.int64)
+    for k in range(len(indices)):
+        w0, w1, _, _ = block(seed, np.uint64(indices[k]), epoch, SUBSTITUTE, numbers[k])
+        # (word * n) >> 64 for the 64-bit word with the upper half w0 and the lower half w1. It is
+        # computed in two halves, because the product has more than 64 bits.
+        n = np.uint64(map_count)
+        half = np.uint64(32)
+        places[k] = np.int64((w0 * n + ((w1 * n) >> half)) >> half)
+    return places

@@ -1,0 +1,356 @@
+"""Maps in place of those without a problem: those that docs/format.md names, and an end."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Sequence
+from itertools import count, islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from helpers import reference
+from helpers.samples import SPEC, assert_all_same, assert_same, build_small
+from scipy import stats
+from torch.utils.data import DataLoader
+
+from mapdata import (
+    Forest,
+    MapDataModule,
+    MapDataset,
+    OnlineMapDataset,
+    Random,
+    Terrain,
+    build,
+    distance_field,
+    generate,
+)
+from mapdata.datasets.dataset import SampledProblemDataset
+from mapdata.formats import Collection, ForeignMap, import_maps
+from mapdata.limits import SPLITS
+
+WALLS = Forest((9, 8), cover=(0.3, 0.5), sizes=(1, 1), splits=(0.5, 0.2, 0.3))
+"""Small maps, of which one in three has a path of `RARE`."""
+
+RARE = (16, None)
+"""A band of lengths."""
+
+SEED, SAMPLING_SEED = 3, 11
+
+FIELDS = ("map", "map_index", "start", "goal", "path", "length")
+
+SUBSTITUTE = 8
+"""The stream of docs/format.md."""
+
+Served = tuple[int, tuple[int, int], tuple[int, int]]
+"""Number of the map, start and goal."""
+
+
+def served_by_the_text(
+    dataset: SampledProblemDataset,
+    index: int,
+    epoch: int,
+    map_at: Callable[[int], int],
+    substitute: Callable[[int], int],
+) -> Served:
+    """Return what docs/format.md, section 6, says of a problem.
+
+    Args:
+        dataset: says how many problems there are, of which kind.
+        index: number of the problem.
+        epoch: pass over the data.
+        map_at: returns the number of the map at a place of the split.
+        substitute: returns the place of substitute u.
+    """
+    problems = dataset.serving.problems
+    assert isinstance(problems, Random)
+    for u in count():
+        number = map_at(index // problems.per_map if u == 0 else substitute(u))
+        problem = reference.reference_problem(
+            generate(WALLS, SEED, [number]).occupancy[0].tolist(),
+            SAMPLING_SEED,
+            index + u * len(dataset),
+            epoch,
+            problems.bands,
+            dataset.movement,
+        )
+        if problem is not None:
+            return number, problem.start, problem.goal
+    raise AssertionError
+
+
+def served(dataset: SampledProblemDataset, index: int, epoch: int) -> Served:
+    """Return what a dataset serves."""
+    batch = dataset.__getitems__([index + epoch * len(dataset)]).batch
+    start, goal = batch.start[0].tolist(), batch.goal[0].tolist()
+    return int(batch.map_index[0]), (start[0], start[1]), (goal[0], goal[1])
+
+
+def maps_of(split: str | None, number: int) -> list[int]:
+    """Return the first maps of a split of `WALLS`, by the reference."""
+    members = (
+        i
+        for i in count()
+        if split is None or reference.reference_split(WALLS, SEED, i) == SPLITS.index(split)
+    )
+    return list(islice(members, number))
+
+
+def online(length: int, split: str | None = None, per_map: int = 1) -> OnlineMapDataset:
+    """Return a dataset whose problems are rare."""
+    problems = Random(length=RARE, per_map=per_map)
+    return OnlineMapDataset(
+        WALLS, SEED, length, split, FIELDS, problems=problems, sampling_seed=SAMPLING_SEED
+    )
+
+
+@pytest.mark.parametrize(("split", "length", "per_map"), [(None, 5, 1), ("val", 5, 3)])
+def test_online_substitutes_are_those_of_the_format(
+    split: str | None, length: int, per_map: int
+) -> None:
+    """Substitute u of problem i of n own maps is at the place n + (u - 1) * length + i."""
+    dataset = online(length, split, per_map)
+    numbers = maps_of(split, 60 * length)
+    own_maps = -(-length // per_map)
+    replaced = 0
+    for epoch in (0, 5):
+        for index in range(length):
+            expected = served_by_the_text(
+                dataset,
+                index,
+                epoch,
+                numbers.__getitem__,
+                lambda u, index=index: own_maps + (u - 1) * length + index,  # type: ignore[misc]
+            )
+            assert served(dataset, index, epoch) == expected
+            replaced += expected[0] != numbers[index // per_map]
+    assert replaced > length / 2  # in two epochs
+
+
+@pytest.mark.parametrize("per_map", [1, 2])
+def test_stored_substitutes_are_those_of_the_format(tmp_path: Path, per_map: int) -> None:
+    """They are drawn from the whole split, by stream 8."""
+    build(tmp_path, WALLS, maps=20, seed=SEED, shard_size=8, workers=1)
+    problems = Random(length=RARE, per_map=per_map)
+    dataset = MapDataset(tmp_path, "train", FIELDS, problems=problems, sampling_seed=SAMPLING_SEED)
+    numbers = [i for i in maps_of("train", 20) if i < 20]
+    assert len(dataset) == per_map * len(numbers)
+    for epoch in (0, 5):
+
+        def substitute(u: int) -> int:
+            w0, w1, _, _ = reference.block(SAMPLING_SEED, index, epoch, SUBSTITUTE, u)  # noqa: B023
+            return (w0 * 2**32 + w1) * len(numbers) >> 64
+
+        for index in range(0, len(dataset), 2 * per_map):
+            expected = served_by_the_text(dataset, index, epoch, numbers.__getitem__, substitute)
+            assert served(dataset, index, epoch) == expected
+
+
+def test_no_map_is_served_twice_online() -> None:
+    """200 problems of a rare band are on 200 maps; with several a map, on no map more of them."""
+    for split in (None, "test"):
+        numbers = online(200, split)[:].map_index.tolist()
+        assert len(set(numbers)) == 200
+    own_maps = set(maps_of("test", 50))
+    problems_on = Counter(online(200, "test", per_map=4)[:].map_index.tolist())
+    assert all(number in own_maps or problems_on[number] == 1 for number in problems_on)
+    assert 1 < max(problems_on.values()) <= 4
+
+
+def test_a_problem_depends_on_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor on the order, the batch, how many maps are tried at once, or where an epoch goes on."""
+    whole = online(60)[:]
+    again = online(60)
+    rest = again.__getitems__(range(40, 60)).batch  # as after a restart within the epoch
+    order = torch.randperm(60, generator=torch.Generator().manual_seed(1))
+    shuffled = again[order.tolist()]
+    single = [again[i] for i in range(0, 60, 7)]
+    monkeypatch.setattr("mapdata.datasets.dataset.CELLS_AT_ONCE", 72 * 5)
+    in_parts = online(60)[:]
+    monkeypatch.setattr("mapdata.datasets.dataset.most_maps", lambda *_: 400)  # one is sought alone
+    alone = online(60)[:]
+    for name in ("map", "map_index", "start", "goal", "length"):
+        expected = getattr(whole, name)
+        assert torch.equal(getattr(rest, name), expected[40:])
+        assert torch.equal(getattr(shuffled, name), expected[order])
+        assert torch.equal(torch.stack([getattr(one, name) for one in single]), expected[::7])
+        assert torch.equal(getattr(in_parts, name), expected)
+        assert torch.equal(getattr(alone, name), expected)
+
+
+def test_maps_that_are_tried_at_once_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first that has a problem is served, and none behind the last that may be tried."""
+    rare = Random(length=(22, None))
+
+    def dataset() -> OnlineMapDataset:
+        return OnlineMapDataset(WALLS, SEED, 30, fields=FIELDS, problems=rare)
+
+    at_once = dataset()[:]
+    with monkeypatch.context() as patch:
+        patch.setattr(OnlineMapDataset, "_substitutes_ahead", lambda *_: 1)
+        assert_same(dataset()[:], at_once)
+    substitutes = (at_once.map_index - torch.arange(30)) // 30
+    last = int(substitutes.argmax())
+    most = int(substitutes.max())
+    assert most > 30  # some maps were tried at once
+    for maps in (most + 1, most):
+        monkeypatch.setattr("mapdata.datasets.dataset.most_maps", lambda *_, maps=maps: maps)
+        if maps == most:
+            with pytest.raises(ValueError, match=f"; {most} maps were tried for problem {last} "):
+                dataset()[last]
+        else:
+            assert dataset()[last].map_index == at_once.map_index[last]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("split", [None, "val"])
+def test_workers_find_the_same_substitutes(split: str | None) -> None:
+    """Each of them draws the splits of maps far behind by itself."""
+    loaders = [DataLoader(online(90, split), 16, num_workers=workers) for workers in (0, 2)]
+    alone, together = ([*loader] for loader in loaders)
+    assert_all_same(together, alone)
+
+
+def test_stored_substitutes_are_spread_over_the_maps_that_have_a_problem(tmp_path: Path) -> None:
+    """Each of them replaces as many others, also the one that follows many without a problem."""
+    wall = np.ones((6, 6), np.uint8)
+    wall[3, 3:5] = 0
+    open_map = np.zeros((6, 6), np.uint8)
+    grids = [wall] * 15 + [open_map] * 5 + [wall] * 15 + [open_map] * 5
+    import_maps(tmp_path, Collection([ForeignMap(f"{k}", grid) for k, grid in enumerate(grids)]))
+    far = Random(distance=(5, None))
+    dataset = MapDataset(tmp_path, fields=("map_index",), problems=far)
+    replacing: Counter[int] = Counter()
+    for epoch in range(20):
+        batch = dataset.__getitems__(np.arange(40) + epoch * 40).batch
+        is_own = batch.map_index == torch.arange(40)
+        assert is_own.tolist() == [not grid.any() for grid in grids]
+        replacing.update(batch.map_index[~is_own].tolist())
+    assert sum(replacing.values()) == 20 * 30
+    assert stats.chisquare([replacing[k] for k in (*range(15, 20), *range(35, 40))]).pvalue > 1e-3
+
+
+# --- the end ------------------------------------------------------------------------------------
+
+
+def nearest_by_the_reference(
+    dataset: SampledProblemDataset, numbers: Sequence[int], index: int
+) -> int:
+    """Return the length of the longest path to a goal that was tried on maps, one for each u."""
+    longest = 0
+    for u, number in enumerate(numbers):
+        grid = generate(WALLS, SEED, [number]).occupancy[0].tolist()
+        free = [(r, c) for r in range(9) for c in range(8) if grid[r][c] == 0]
+        for attempt in range(32):
+            word = reference.block(SAMPLING_SEED, index + u * len(dataset), 0, 1, attempt)[0]
+            goal = free[reference.bounded(word, 0, len(free) - 1)]
+            costs = reference.reference_distances(grid, goal, dataset.movement)
+            longest = max(longest, *(sum(cost) + 1 for cost in costs.values()))
+    return longest
+
+
+def test_the_end_names_the_band_the_maps_and_the_nearest_value(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The same in every batch: it is counted for each problem by itself."""
+    monkeypatch.setattr("mapdata.problems.substitutes.MAX_CELLS", 32 * 72 * 30 - 1)
+    problems = Random(length=(45, None))
+    dataset = OnlineMapDataset(
+        WALLS, SEED, 10, fields=FIELDS, problems=problems, sampling_seed=SAMPLING_SEED
+    )
+    longest = nearest_by_the_reference(dataset, [4 + 10 * u for u in range(30)], 4)
+    says = (
+        f"problems={problems}: none on one map after another; 30 maps were tried for problem 4 of "
+        f"epoch 0, and the longest path seen has {longest} cells; take wider conditions"
+    )
+    for indices in ([4], [4, 7, 2]):
+        with pytest.raises(ValueError, match="none on") as error:
+            dataset[indices]
+        assert str(error.value) == says
+
+
+def test_a_stored_dataset_has_the_same_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Though its maps are tried again and again, and whatever the fault is."""
+    root = build_small(tmp_path / "maps", maps=10)
+    monkeypatch.setattr("mapdata.problems.substitutes.MAX_CELLS", 0)
+    for problems, radius, says in (
+        (Random(distance=(1000, None)), 0.0, r"20 maps were .* largest distance seen is \d+ cells"),
+        (Random(distance=(None, 0)), 0.0, "the smallest distance seen is 1 cells"),
+        (Random(length=(2.2, 2.8)), 0.0, "the nearest paths seen have 2 and 3 cells"),
+        (Random(hardness=(40, None)), 0.0, r"the largest hardness seen is [\d.]+; take"),
+        (Random((None, 3), (1.5, None)), 0.0, "no start met all conditions at once"),
+        (Random(), 5.0, "no goal could be reached from another cell; .* smaller radius than 5 m"),
+        (Random(to_first_seed_point=True), 5.0, "no goal could be reached from another cell"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            MapDataset(root, problems=problems, radius=radius)[3]
+
+
+def test_the_end_on_terrain_names_costs_and_lengths(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The largest distance is that of `distance_field`; lengths are those of paths that were
+    drawn.
+    """
+    monkeypatch.setattr("mapdata.problems.substitutes.MAX_CELLS", 0)
+    hills = Terrain((8, 9), scale=4)
+    largest = 0.0
+    for u in range(20):
+        maps = generate(hills, 0, [2 + 5 * u])
+        assert maps.terrain is not None
+        grid = maps.occupancy[0]
+        free = np.argwhere(grid == 0)
+        for attempt in range(32):
+            word = reference.block(SAMPLING_SEED, 2 + 5 * u, 0, 1, attempt)[0]
+            goal = free[reference.bounded(word, 0, len(free) - 1)]
+            costs = distance_field(grid, goal, terrain=maps.terrain[0])
+            largest = max(largest, float(costs.max()))
+    for problems, says in (
+        (Random(distance=(9999, None)), f"the largest distance seen is {largest:g} cells;"),
+        (Random(length=(999, None)), r"and the longest path seen has (1\d|2\d) cells;"),
+    ):
+        dataset = OnlineMapDataset(
+            hills, 0, 5, fields=("map",), problems=problems, sampling_seed=SAMPLING_SEED
+        )
+        with pytest.raises(ValueError, match=says):
+            dataset[2]
+
+
+# --- several problems a map ---------------------------------------------------------------------
+
+
+def test_problems_of_one_map_are_counted(tmp_path: Path) -> None:
+    """Problem i is on map i // k; the other entries of a dataset fit."""
+    root = build_small(tmp_path / "maps", maps=12)
+    fields = ("map_index", "problem", "start", "goal")
+    one = MapDataset(root, "train", fields, problems="random")
+    four = MapDataset(root, "train", fields, problems=Random(per_map=4))
+    assert len(four) == 4 * len(one)
+    assert four.info.map_counts == one.info.map_counts
+    assert four.info.problem_counts == {"train": len(four)}
+    assert torch.equal(four[:].map_index, one[:].map_index.repeat_interleave(4))
+    statistics = four.problem_statistics()
+    assert (statistics.maps, statistics.most_on_one_map) == (len(one), 4)
+    assert statistics.replaced is not None
+    assert statistics.replaced.value == 0
+    assert four[:].problem.tolist() == list(range(len(four)))
+    assert len(torch.unique(torch.cat((four[:].start, four[:].goal), 1), dim=0)) > 2 * len(one)
+    assert_same(MapDataset(root, "train", fields, problems=Random(per_map=1))[:], one[:])
+    made = OnlineMapDataset(SPEC, 5, 10, fields=fields, problems=Random(per_map=4))
+    assert made[:].map_index.tolist() == [0, 0, 0, 0, 1, 1, 1, 1, 2, 2]
+    assert sum(made.info.map_counts.values()) == 3
+    assert sum(made.info.problem_counts.values()) == 10
+    assert made.info.recipes[0] is not None
+    assert made.info.recipes[0].maps == 3
+    by_default = OnlineMapDataset({"spec": "paper", "maps": 7}, problems=Random(per_map=4))
+    assert len(by_default) == 28
+
+
+def test_the_data_module_serves_several_problems_a_map() -> None:
+    """Also where the maps are made online, from plain JSON."""
+    module = MapDataModule(
+        None, build={"spec": "paper", "maps": 50}, problems={"random": {"per_map": 3}}
+    )
+    module.setup("fit")
+    assert [len(module.datasets[split]) for split in ("train", "val")] == [120, 15]
+    assert json.loads(module.hparams["problems"]) == {"random": {"per_map": 3}}
