@@ -262,7 +262,8 @@ def test_the_end_names_the_band_the_maps_and_the_nearest_value(
     )
     longest = nearest_by_the_reference(dataset, [4 + 10 * u for u in range(30)], 4)
     says = (
-        f"problems={problems}: none on one map after another; 30 maps were tried for problem 4 of "
+        'problems: got {"random": {"length": [45.0, null]}}: none on one map after another; '
+        "30 maps were tried for problem 4 of "
         f"epoch 0, and the longest path seen has {longest} cells; take wider conditions"
     )
     for indices in ([4], [4, 7, 2]):
