@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Literal
 
 import numpy as np
 
 from mapdata.arrays import Array, Bytes, Flags, Ints
+from mapdata.checks import check_choice
 from mapdata.datasets.field_kernels import PADDING
 from mapdata.datasets.sample import Sample
+from mapdata.formats.maze_answers import INFEASIBLE, letters_of_path, words_of_letters
 from mapdata.search.api import astar
 
 CHARACTERS = "# SGo"
@@ -58,20 +61,28 @@ def maze_texts(tokens: Bytes, line_end: str = "\n") -> list[str]:
     return [line_end.join(row.tobytes().decode() for row in maze) for maze in mazes]
 
 
-def maze_text(sample: Sample) -> dict[str, str]:
+def maze_text(
+    sample: Sample, answer: Literal["cells", "moves", "letters"] = "cells"
+) -> dict[str, str]:
     r"""Return a problem as ``prompt`` and ``answer``, for language models; a ``transform``.
 
-    Both are H lines of W characters, joined by ``"\n"``: ``#`` occupied, a space for free, ``S``
-    start, ``G`` goal. The answer marks the cells of the path between them with ``o``. Batches are
-    dicts of lists of texts. `mapdata.formats.is_shortest_answer` says whether an answer is right,
-    which can be another shortest path than this one.
+    The prompt is H lines of W characters, joined by ``"\n"``: ``#`` occupied, a space for free,
+    ``S`` start, ``G`` goal. If there is no path, the answer is ``infeasible``. Batches are dicts of
+    lists of texts. `mapdata.formats.score_answer` scores an answer, which can be another shortest
+    path than this one.
 
     Args:
         sample: of a dataset whose fields have ``map``, ``start``, ``goal`` and ``path``.
+        answer: "cells" for the prompt with the cells of the path between start and goal marked by
+            ``o``; "moves" for the words up, down, left and right, such as ``down left``; "letters"
+            for their first letters, such as ``DL``. A dataset takes another one than "cells" as
+            ``transform=functools.partial(maze_text, answer="moves")``.
 
     Raises:
-        ValueError: one of these fields is missing; or the path is no shortest 4-connected path, as
-            on maps with terrain or with diagonal moves, so that the answer would not be right.
+        ValueError: one of the fields is missing; ``answer`` is none of these; the path is no
+            shortest 4-connected path, as on maps with terrain or with diagonal moves, so that the
+            answer would not be right; or start and goal are neighbours, so that the marked maze
+            would be the prompt itself.
 
     >>> from mapdata import Maze, OnlineMapDataset
     >>> mazes = OnlineMapDataset(
@@ -91,34 +102,53 @@ def maze_text(sample: Sample) -> dict[str, str]:
             f"maze_text: got samples of {', '.join(sample._fields)}; expected the fields "
             f"{', '.join(_FIELDS)}"
         )
+    check_choice("answer", answer, ("cells", "moves", "letters"))
     fields = {name: getattr(sample, name).numpy()[None] for name in _FIELDS}
     question_tokens = maze_tokens(fields, with_path=False)
-    _check_shortest(question_tokens[0] == _WALL, fields["path"][0])
+    path = fields["path"][0]
+    path = path[path[:, 0] != PADDING]
+    ends = (fields["start"][0], fields["goal"][0])
+    _check_shortest(question_tokens[0] == _WALL, path, ends)
     (prompt,) = maze_texts(question_tokens)
-    (answer,) = maze_texts(maze_tokens(fields, with_path=True))
-    return {"prompt": prompt, "answer": answer}
+    if len(path) == 0:
+        return {"prompt": prompt, "answer": INFEASIBLE}
+    if answer == "cells":
+        if len(path) == 2:
+            raise ValueError(
+                "maze_text: start and goal are neighbours, so no cell between them can be marked: "
+                'expected longer paths, problems={"random": {"length": [3, None]}}, or '
+                'answer="moves"'
+            )
+        (text,) = maze_texts(maze_tokens(fields, with_path=True))
+    else:
+        letters = letters_of_path(path)
+        text = letters if answer == "letters" else words_of_letters(letters)
+    return {"prompt": prompt, "answer": text}
 
 
-def _check_shortest(is_occupied: Flags, path: Ints) -> None:
+def _check_shortest(is_occupied: Flags, path: Ints, ends: tuple[Ints, Ints]) -> None:
     """Refuse a problem whose path is no shortest 4-connected path between two cells.
 
     Args:
         is_occupied: (H, W).
-        path: (T, 2), padded with -1.
+        path: (k, 2); k is 0 if there is no path.
+        ends: start and goal, (2,) each.
 
     Raises:
         ValueError: the message says what is wrong with the path.
     """
-    cells = path[path[:, 0] != PADDING]
-    move_count = len(cells) - 1
-    if move_count < 1:
-        fault = f"a path of {len(cells)} cells"
-    elif (np.abs(np.diff(cells, axis=0)).sum(axis=1) != 1).any():
+    min_move_count = astar(is_occupied, *ends).cost
+    move_count = len(path) - 1
+    if move_count == min_move_count != 0:
+        return  # both are -1 where there is no path
+    if move_count < 0:
+        # The text shows S and G in place of occupied cells, and so a path from the one to the other.
+        fault = f"no path where {min_move_count:.0f} moves are enough (the start or the goal is occupied)"
+    elif move_count == 0:
+        fault = "a path of 1 cell"
+    elif (np.abs(np.diff(path, axis=0)).sum(axis=1) != 1).any():
         fault = "a path with diagonal moves"
     else:
-        min_move_count = astar(is_occupied, cells[0], cells[-1]).cost
-        if move_count == min_move_count:
-            return
         fault = f"a path of {move_count} moves where {min_move_count:.0f} are enough"
     raise ValueError(
         f"maze_text: got {fault}, expected a shortest 4-connected path between two cells, as of "

@@ -19,7 +19,12 @@ from mapdata.formats import (
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import Limits
 from mapdata.formats.importing import import_maps
-from mapdata.formats.maze_hard import is_shortest_answer
+from mapdata.formats.maze_answers import (
+    AnswerCheck,
+    check_answer,
+    is_shortest_answer,
+    score_answer,
+)
 from mapdata.formats.registry import (
     FORMATS,
     Format,
@@ -49,11 +54,13 @@ for _module in (
 
 __all__ = [
     "FORMATS",
+    "AnswerCheck",
     "Collection",
     "ForeignMap",
     "Format",
     "FormatError",
     "Limits",
+    "check_answer",
     "export",
     "import_maps",
     "is_shortest_answer",
@@ -61,4 +68,5 @@ __all__ = [
     "read_problems",
     "recognise",
     "register",
+    "score_answer",
 ]

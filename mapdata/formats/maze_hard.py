@@ -14,27 +14,18 @@ a header each line has four columns:
 
 from __future__ import annotations
 
-import math
-import re
 from pathlib import Path
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Ints
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, SPLIT_NAMES, Limits, check_file, files_with_endings
+from mapdata.formats.maze_answers import is_shortest_answer, parse_question
 from mapdata.formats.registry import Format
 from mapdata.movement import Movement
 from mapdata.npy import FormatError
-from mapdata.search.api import astar
 
 HEADER = "source,question,answer,rating"
-
-_QUESTION = re.compile("[# ]*(S[# ]*G|G[# ]*S)[# ]*")
-"""A question has one start and one goal, and otherwise occupied and free cells."""
-
-_OCCUPIED, _FREE, _START, _GOAL, _PATH = np.frombuffer(b"# SGo", np.uint8)
-"""The ASCII codes of the cells."""
 
 
 def is_maze_hard(path: Path) -> bool:
@@ -84,93 +75,23 @@ def _parse_maze(name: str, line: str, split: int | None, limits: Limits) -> Fore
             "limit"
         )
     _, question, answer, _ = fields
-    if not _QUESTION.fullmatch(question):
-        raise FormatError(f"{name}: expected cells '#' and ' ', one S and one G")
-    cells = _grid_of_cells(question)
-    wrong_labels = [] if is_shortest_answer(question, answer) else ["answer"]
+    try:
+        parsed = parse_question(question)
+    except FormatError as error:
+        raise FormatError(f"{name}: {error}") from None
+    ends = np.array([parsed.start, parsed.goal])
+    # Between neighbours there is no cell to mark.
+    are_neighbours = np.abs(ends[0] - ends[1]).sum() == 1
+    is_right = answer == question if are_neighbours else is_shortest_answer(question, answer)
+    wrong_labels = [] if is_right else ["answer"]
     return ForeignMap(
         name,
-        cells == _OCCUPIED,
+        parsed.is_occupied,
         split,
-        seed_points=_start_and_goal(cells),
+        seed_points=ends,
         rooms_known=True,
         check=lambda _labels, _number: wrong_labels,
     )
-
-
-def is_shortest_answer(question: str, answer: str) -> bool:
-    """Return whether an answer marks a shortest path.
-
-    Many problems have several shortest paths, and a model may find another one than the file has.
-    Line ends before and after the two texts are ignored, and CRLF is read as one line end. Spaces
-    count, as they are free cells.
-
-    Args:
-        question: the cells of a map, row by row, with one S and one G. Rows are lines, as in
-            `mapdata.datasets.maze_text`, or follow one another in a square map.
-        answer: the question with some free cells marked by "o", as a model returns it.
-
-    Raises:
-        FormatError: the question is no map with one S and one G, or the answer is no text.
-
-    >>> answers = ("Soo #o  G", "S  o# ooG", "S   #   G")
-    >>> [is_shortest_answer("S   #   G", answer) for answer in answers]
-    [True, True, False]
-    """
-    question = _without_outer_line_ends("question", question)
-    answer = _without_outer_line_ends("answer", answer)
-    if not _QUESTION.fullmatch(question.replace("\n", "")):
-        raise FormatError("question: expected cells '#' and ' ', one S and one G")
-    _grid_of_cells(question)  # raises an error if the rows are no map
-    if answer.replace("o", " ") != question:
-        return False
-    cells = _grid_of_cells(answer)
-    start, goal = _start_and_goal(cells)
-    shortest_cost = astar(cells == _OCCUPIED, start, goal).cost
-    # If all cells that are not marked are occupied, a path can only use marked cells. It uses all
-    # of them if there are no more than it needs.
-    is_unmarked = (cells == _OCCUPIED) | (cells == _FREE)
-    marked_cost = astar(is_unmarked, start, goal).cost
-    moves = answer.count("o") + 1
-    return shortest_cost == marked_cost == moves
-
-
-def _without_outer_line_ends(name: str, text: object) -> str:
-    """Return a text with line ends between its rows alone, all of them LF.
-
-    Args:
-        name: of the text, for the error.
-        text: rows of cells.
-
-    Raises:
-        FormatError: it is no text.
-    """
-    if not isinstance(text, str):
-        raise FormatError(f"{name}: got {text!r}, expected a text")
-    return text.replace("\r\n", "\n").strip("\n")
-
-
-def _grid_of_cells(text: str) -> Bytes:
-    """Return the characters of a map as ASCII codes, (H, W) uint8.
-
-    Raises:
-        FormatError: lines of several lengths; without lines, not as many characters as a square.
-    """
-    lines = text.split("\n")
-    if len(lines) > 1:
-        if len(set(map(len, lines))) != 1:
-            raise FormatError("got lines of several lengths, expected one length")
-        codes = np.frombuffer("".join(lines).encode("latin-1"), np.uint8)
-        return codes.reshape(len(lines), -1)
-    side = math.isqrt(len(text))
-    if side * side != len(text):
-        raise FormatError(f"got {len(text)} cells, expected a square map")
-    return np.frombuffer(text.encode("latin-1"), np.uint8).reshape(side, side)
-
-
-def _start_and_goal(cells: Bytes) -> Ints:
-    """Return the start and the goal, (2, 2)."""
-    return np.concatenate([np.argwhere(cells == _START), np.argwhere(cells == _GOAL)])
 
 
 FORMAT = Format("maze-hard", (".csv",), read, recognises=is_maze_hard)

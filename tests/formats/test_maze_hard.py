@@ -4,34 +4,22 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
-from typing import Any
 
-import networkx as nx  # type: ignore[import-untyped]
 import numpy as np
 import pytest
-from helpers.wild import SETTINGS, cli
-from hypothesis import given
-from hypothesis import strategies as st
+from helpers.wild import cli
 
 from mapdata import (
-    Cave,
     MapDataset,
     MapSpec,
     Maze,
     Movement,
-    OnlineMapDataset,
-    Route,
-    astar,
     build,
-    generate,
 )
-from mapdata.datasets import maze_text
 from mapdata.export import export_problems
 from mapdata.formats import (
-    FormatError,
     Limits,
     import_maps,
-    is_shortest_answer,
     read_any,
     recognise,
 )
@@ -102,123 +90,6 @@ def test_wrong_answers_are_counted(root: Path, tmp_path: Path) -> None:
     (imported,) = import_maps(tmp_path / "back", read_any(tmp_path / "test.csv"))
     assert imported.checked == len(lines) - 1
     assert sum(imported.disagreements.values()) == 1
-
-
-@SETTINGS
-@given(st.integers(0, 10_000), st.data())
-def test_all_shortest_paths_of_networkx_are_right_answers(seed: int, data: st.DataObject) -> None:
-    """A path with a cell added, removed or moved is wrong, unless it is another shortest path."""
-    grid = generate(Maze((9, 9), reopened=0.6, seed_points=2), seed, [0])
-    cells = grid.occupancy[0]
-    start, goal = (tuple(point.tolist()) for point in grid.seed_points[0])
-    graph = nx.grid_2d_graph(9, 9)
-    graph.remove_nodes_from([tuple(cell) for cell in np.argwhere(cells).tolist()])
-    letters = np.where(cells, "#", " ")
-    letters[start], letters[goal] = "S", "G"
-    question = "".join(letters.flat)
-
-    def answer(path: list[tuple[int, int]]) -> str:
-        marked = letters.copy()
-        for cell in path[1:-1]:
-            marked[cell] = "o"
-        return "".join(marked.flat)
-
-    paths = list(nx.all_shortest_paths(graph, start, goal))
-    assert all(is_shortest_answer(question, answer(path)) for path in paths)
-    right = {answer(path) for path in paths}
-    other = list(data.draw(st.sampled_from(sorted(right))))
-    for _ in range(data.draw(st.integers(1, 3))):
-        place = data.draw(st.integers(0, 80))
-        other[place] = data.draw(st.sampled_from(CHARSET))
-    assert is_shortest_answer(question, "".join(other)) == ("".join(other) in right)
-
-
-def test_longer_paths_are_wrong() -> None:
-    """Wrong answers are a detour, a loop beside the path, another length and a changed wall."""
-    question = "S        " + "       G "
-    question = question.ljust(25)
-    start, goal = 0, 16
-    found = astar(np.zeros((5, 5)), (0, 0), divmod(goal, 5))
-    cells = [row * 5 + column for row, column in found.path.tolist()]
-    right = "".join("o" if k in cells[1:-1] else letter for k, letter in enumerate(question))
-    assert is_shortest_answer(question, right)
-    assert not is_shortest_answer(question, right[:-1])
-    assert not is_shortest_answer(question, right[:-1] + "#")
-    assert not is_shortest_answer(question, right[:-1] + "o")
-    assert right[start] == "S"
-
-
-def test_line_ends_around_an_answer_are_ignored() -> None:
-    """Models end their answers with a newline, and files of Windows have CRLF; spaces are cells."""
-    question = "####\n#S #\n# G#\n####"
-    answer = question.replace("S ", "So")
-    questions = (question, question + "\n", question.replace("\n", "\r\n") + "\r\n")
-    answers = (answer, answer + "\n", "\n" + answer, answer.replace("\n", "\r\n") + "\r\n")
-    for each_question in questions:
-        assert all(is_shortest_answer(each_question, each_answer) for each_answer in answers)
-        assert not is_shortest_answer(each_question, " " + answer)
-        assert not is_shortest_answer(each_question, answer.replace("\n", "\n\n"))
-
-
-@pytest.mark.parametrize(
-    ("question", "answer", "message"),
-    [
-        ("#########", "#########", "question: expected cells '#' and ' ', one S and one G"),
-        ("", "", "one S and one G"),
-        ("S  SG    ", "S  SG    ", "one S and one G"),
-        ("SéG ", "SéG ", "expected cells '#' and ' '"),
-        ("S G", "SoG", "got 3 cells, expected a square map"),
-        ("S G", "S G ", "got 3 cells, expected a square map"),
-        ("S \n G ", "S \n G ", "got lines of several lengths"),
-        (None, "S  G", "question: got None, expected a text"),
-        ("S  G", None, "answer: got None, expected a text"),
-    ],
-)
-def test_a_question_that_is_no_map_raises_a_format_error(
-    question: Any, answer: Any, message: str
-) -> None:
-    """The docstring promises this error and no other."""
-    with pytest.raises(FormatError, match=message):
-        is_shortest_answer(question, answer)
-
-
-@pytest.mark.parametrize("radius", [0.0, 0.15])
-def test_the_text_of_a_map_is_a_right_answer(radius: float) -> None:
-    """Also for BFS, for a robot with a radius, and for rotated maps with padded paths."""
-    texts: Any = OnlineMapDataset(
-        "cave",
-        length=10,
-        problems="random",
-        search="bfs",
-        augment=True,
-        max_length=400,
-        radius=radius,
-        transform=maze_text,
-    )
-    assert all(is_shortest_answer(text["prompt"], text["answer"]) for text in texts)
-
-
-@pytest.mark.parametrize(
-    ("recipe", "arguments", "message"),
-    [
-        (Cave((32, 32), movement=Movement(8)), {}, "got a path with diagonal moves, expected"),
-        ("terrain", {"movement": Movement(4)}, r"got a path of \d+ moves where \d+ are enough"),
-        (
-            "paper",
-            {"problems": Route(unsolvable=True), "movement": Movement(4), "radius": 5},
-            "got a path of 0 cells",
-        ),
-        ("maze15", {"fields": ("map", "path")}, "got samples of map, path; expected the fields"),
-    ],
-)
-def test_maps_whose_text_would_be_no_right_answer_are_refused(
-    recipe: Any, arguments: dict[str, Any], message: str
-) -> None:
-    """`is_shortest_answer` would call all of these answers wrong."""
-    arguments = {"problems": "random", **arguments}
-    dataset = OnlineMapDataset(recipe, length=20, transform=maze_text, **arguments)
-    with pytest.raises(ValueError, match=message):
-        list(dataset)
 
 
 @pytest.mark.parametrize(
