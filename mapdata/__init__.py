@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from mapdata.generators import Maps as Maps
     from mapdata.generators import MapSpec as MapSpec
     from mapdata.generators import Maze as Maze
+    from mapdata.generators import RandomWalls as RandomWalls
     from mapdata.generators import Recipe as Recipe
     from mapdata.generators import Terrain as Terrain
     from mapdata.generators import generate as generate
@@ -80,6 +81,7 @@ _FACES = {
         "MapSpec",
         "Maps",
         "Maze",
+        "RandomWalls",
         "Recipe",
         "Terrain",
         "generate",

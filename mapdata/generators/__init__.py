@@ -1,6 +1,6 @@
 """Families of maps, each a `MapGenerator` in its own file; presets, recipes, and the `Maps`."""
 
-from mapdata.generators import caves, forests, mazes, rooms, terrain
+from mapdata.generators import caves, forests, mazes, random_walls, rooms, terrain
 from mapdata.generators.caves import Cave
 from mapdata.generators.forests import Forest
 from mapdata.generators.generator import (
@@ -14,6 +14,7 @@ from mapdata.generators.generator import (
 from mapdata.generators.maps import WORD, Maps, pack
 from mapdata.generators.mazes import Maze
 from mapdata.generators.points import draw_points, largest_component, with_seed_points
+from mapdata.generators.random_walls import RandomWalls
 from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe, generate
 from mapdata.generators.rooms import MapSpec
 from mapdata.generators.splits import SplitMaps, draw_splits, maps_of_split, split_thresholds
@@ -23,6 +24,7 @@ register(MapSpec, rooms.PRESETS)
 register(Maze, mazes.PRESETS)
 register(Cave, caves.PRESETS)
 register(Forest, forests.PRESETS)
+register(RandomWalls, random_walls.PRESETS)
 register(Terrain, terrain.PRESETS)
 
 __all__ = [
@@ -35,6 +37,7 @@ __all__ = [
     "MapSpec",
     "Maps",
     "Maze",
+    "RandomWalls",
     "Recipe",
     "RecipeLike",
     "SplitMaps",

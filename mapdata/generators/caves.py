@@ -72,16 +72,7 @@ def _draw_cave(
         steps: steps of the automaton.
     """
     rows, columns = grid.shape
-    # A block of stream MAP has four words, and so 16 bits for each of eight cells in row-major
-    # order; the lower half of a word comes first.
-    noise = grid.reshape(-1)
-    cell = 0
-    for block_number in range((rows * columns + 7) // 8):
-        for word in block(seed, index, 0, MAP, block_number):
-            for half in (word & _HALF_MASK, word >> _HALF_BITS):
-                if cell < rows * columns:
-                    noise[cell] = half < noise_threshold
-                cell += 1
+    draw_noise(grid, seed, index, 0, noise_threshold)
     # The number of occupied cells among a cell and its left and right neighbours. Beyond the border
     # all cells are occupied, so there is a row of threes above the first row and below the last.
     row_counts = np.full((rows + 2, columns), 3, np.uint8)
@@ -98,3 +89,30 @@ def _draw_cave(
                 below = row_counts[row + 2, column]
                 grid[row, column] = above + beside + below >= _MAJORITY
     grid[rows // 2, columns // 2] = 0  # Every map needs a free cell for its seed points.
+
+
+@kernel
+def draw_noise(
+    grid: Bytes, seed: np.uint64, index: np.uint64, first_block: Int, threshold: Int
+) -> Int:
+    """Fill ``grid`` with noise; return the number of the first block of stream MAP that is unused.
+
+    Args:
+        grid: (H, W), filled with 0 free and 1 occupied.
+        seed: 64-bit seed.
+        index: number of the map.
+        first_block: number of the first block to use.
+        threshold: a cell is occupied if its 16 random bits are below this number.
+    """
+    # A block has four words, and so 16 bits for each of eight cells in row-major order; the lower
+    # half of a word comes first.
+    noise = grid.reshape(-1)
+    unused_block = first_block + (len(noise) + 7) // 8
+    cell = 0
+    for block_number in range(first_block, unused_block):
+        for word in block(seed, index, 0, MAP, block_number):
+            for half in (word & _HALF_MASK, word >> _HALF_BITS):
+                if cell < len(noise):
+                    noise[cell] = half < threshold
+                cell += 1
+    return unused_block

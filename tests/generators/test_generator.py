@@ -32,6 +32,7 @@ from mapdata import (
     Movement,
     OnlineMapDataset,
     ProblemSet,
+    RandomWalls,
     build,
     generate,
     identity,
@@ -524,7 +525,7 @@ def test_presets_of_one_family_and_of_all() -> None:
             {"generator": "mazes"},
             r"^generator: the family 'mazes' is not known here; import its module \(--import "
             r"MODULE in a command, import MODULE in Python\); known are rooms, maze, cave, forest, "
-            r"terrain; did you mean maze\?$",
+            r"random_walls, terrain; did you mean maze\?$",
         ),
         (
             {"family": "pillars", "pillars": 40},
@@ -575,6 +576,10 @@ GOLDEN: dict[MapGenerator, tuple[str, str]] = {
     Forest((20, 31), cover=(0.2, 0.3), sizes=(1, 5), **SEEDED): (  # type: ignore[arg-type]
         "b4fb9fa8796a90215e12fc74fbfa27557b07f64ea6ac78609df6a29b6f06855a",
         "daee8d0cfa88cb54f409f48d51deb336d2d69edaf7276821b5a3bb0a63011043",
+    ),
+    RandomWalls((20, 31), occupied=(0.2, 0.4), **SEEDED): (  # type: ignore[arg-type]
+        "c5e9e7e0b9c77b59e43858f9017232af34194367423897c82d1376ff79b2f0b8",
+        "3b154d25635e4d4666b8081c1313c59ab645dd65aea079ade48fae4eadd24a00",
     ),
 }
 """Identity and content hash of maps 0 .. 29 with seed 7."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from helpers.reference import Cell, block, bounded, threshold
-from mapdata import Cave, Forest, Maze, Terrain
+from mapdata import Cave, Forest, Maze, RandomWalls, Terrain
 
 MAP, POINTS, TERRAIN = 0, 5, 6
 STEPS = ((-1, 0), (0, 1), (1, 0), (0, -1))
@@ -85,6 +85,24 @@ def reference_cave(generator: Cave, seed: int, index: int) -> list[list[int]]:
                 grid[row].append(int(count >= 5))
     grid[rows // 2][columns // 2] = 0
     return grid
+
+
+def reference_random_walls(generator: RandomWalls, seed: int, index: int) -> list[list[int]]:
+    """Return random walls: noise of one density, drawn again while no cell is free."""
+    rows, columns = generator.map_size
+    least, most = (round(share * 2**16) for share in generator.occupied)
+    number = 0
+    while True:
+        limit = bounded(block(seed, index, 0, MAP, number)[0], least, most)
+        number += 1
+        bits: list[int] = []
+        while len(bits) < rows * columns:
+            for word in block(seed, index, 0, MAP, number):
+                bits += [word % 2**16, word // 2**16]
+            number += 1
+        cells = [int(value < limit) for value in bits[: rows * columns]]
+        if 0 in cells:
+            return [cells[row * columns : (row + 1) * columns] for row in range(rows)]
 
 
 def reference_forest(generator: Forest, seed: int, index: int) -> list[list[int]]:
