@@ -84,10 +84,16 @@ RULES = {
 }
 """The rules of movement, by what the names of sets have of them."""
 
+
+def set_of(generator: str, ending: str = "") -> str:
+    """Return the name of a generator's set under a rule."""
+    hard = GENERATORS[generator][1]
+    # All problems of mazes are hard. And maze-hard is the name of a format, of a set of others.
+    return f"mazes{ending}-{hard}" if generator == "maze" else f"{generator}{ending}-hard-{hard}"
+
+
 SETS = {
-    f"{generator}{ending}-hard-{hard}": (generator, ending)
-    for ending in RULES
-    for generator, (_, hard) in GENERATORS.items()
+    set_of(generator, ending): (generator, ending) for ending in RULES for generator in GENERATORS
 }
 """The sets by name, in the order of the tables: the name of a generator, and that of a rule."""
 
@@ -328,11 +334,6 @@ def transfer(results: Results, path: Path, steps: int, command: str) -> None:
 def trained_name(training: str) -> str:
     """Return the planner's name in the results of a training of the table of transfer."""
     return f"small network trained on {training}"
-
-
-def set_of(generator: str, ending: str = "") -> str:
-    """Return the name of a generator's set under a rule."""
-    return f"{generator}{ending}-hard-{GENERATORS[generator][1]}"
 
 
 # --- tables -------------------------------------------------------------------------------------

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
 
-from mapdata.arrays import Array, Bytes, Flags, Ints
+from mapdata.arrays import Array, Bytes, Flags, Float32s, Ints
 from mapdata.checks import check_choice
 from mapdata.datasets.field_kernels import PADDING
 from mapdata.datasets.sample import Sample
-from mapdata.formats.maze_answers import INFEASIBLE, letters_of_path, words_of_letters
+from mapdata.formats.maze_answers import (
+    INFEASIBLE,
+    MOVES,
+    letters_of_path,
+    words_of_letters,
+)
 from mapdata.search.api import astar
 
 CHARACTERS = "# SGo"
@@ -48,6 +53,52 @@ def maze_tokens(fields: Mapping[str, Array], *, with_path: bool) -> Bytes:
     tokens[(problems, *fields["start"].T)] = _START
     tokens[(problems, *fields["goal"].T)] = _GOAL
     return tokens
+
+
+LABEL_ORDER = ("down", "left", "right", "up")
+"""The order in which the labels of maze-30x30-hard-1k prefer moves (docs/howto/maze_hard.md)."""
+
+
+def first_optimal_paths(
+    cost_to_go: Float32s, starts: Ints, order: Sequence[str] = LABEL_ORDER
+) -> Ints:
+    """Return the shortest paths that take, from the start on, the first optimal move of an order.
+
+    Args:
+        cost_to_go: (B, H, W), number of 4-connected moves to the goal; -1 where no path leads.
+        starts: (B, 2), cells (row, col).
+        order: the four moves, the one that is preferred first.
+
+    Returns:
+        (B, T, 2) int64, padded with -1, where T is the number of cells of the longest path. A
+        problem without a path has no cell.
+    """
+    count, rows, columns = cost_to_go.shape
+    steps = np.array([MOVES[word] for word in order])
+    # Beyond the border no path leads.
+    costs = np.full((count, rows + 2, columns + 2), -1, np.int64)
+    costs[:, 1:-1, 1:-1] = cost_to_go
+    problems = np.arange(count)
+    cells = starts.astype(np.int64) + 1
+    costs_here = costs[problems, cells[:, 0], cells[:, 1]]
+    longest = int(costs_here.max(initial=-1)) + 1
+    paths = np.full((count, longest, 2), PADDING, np.int64)
+    for number in range(longest):
+        is_on_path = costs_here >= 0
+        problems = problems[is_on_path]
+        cells = cells[is_on_path]
+        costs_here = costs_here[is_on_path]
+        paths[problems, number] = cells - 1
+        # (4, B, 2): the neighbours of each cell, and whether an optimal move leads there.
+        neighbours = cells + steps[:, None]
+        costs_there = costs[problems, neighbours[:, :, 0], neighbours[:, :, 1]]
+        is_optimal = costs_there == costs_here - 1
+        # At the goal a move to a cell without a path, of cost -1, counts as optimal. It ends the
+        # path, since the next cost is -1, too.
+        moves = is_optimal.argmax(axis=0)
+        cells = neighbours[moves, np.arange(len(problems))]
+        costs_here = costs_here - 1
+    return paths
 
 
 def maze_texts(tokens: Bytes, line_end: str = "\n") -> list[str]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from mapdata.arrays import Array, Bytes
 from mapdata.datasets.field_kernels import PADDING
-from mapdata.datasets.text import CHARACTERS, maze_tokens
+from mapdata.datasets.text import CHARACTERS, first_optimal_paths, maze_tokens
 from mapdata.limits import Size
 from mapdata.movement import STEPS, Movement
 
@@ -151,9 +151,20 @@ def _vin_images(columns: Columns) -> Bytes:
 # --- HRM and TRM ----------------------------------------------------------------------------------
 
 
+MAZE_FIELDS = ("map", "start", "goal", "cost_to_go")
+"""The fields that mazes with marked paths are made of."""
+
+
+def with_first_optimal_paths(columns: Columns) -> Columns:
+    """Return `MAZE_FIELDS` with the field ``path``: the paths of maze-30x30-hard-1k's rule."""
+    paths = first_optimal_paths(columns["cost_to_go"][:, 0], columns["start"])
+    return {**columns, "path": paths}
+
+
 def _maze_rows(columns: Columns, *, with_path: bool) -> Bytes:
     """Return mazes as tokens (B, H * W)."""
-    tokens = maze_tokens(columns, with_path=with_path)
+    fields = with_first_optimal_paths(columns) if with_path else columns
+    tokens = maze_tokens(fields, with_path=with_path)
     return tokens.reshape(len(tokens), -1)
 
 
@@ -307,7 +318,7 @@ LAYOUTS: dict[str, Layout] = {
         Layout(
             name="hrm",
             source="https://github.com/sapientinc/HRM/blob/main/puzzle_dataset.py",
-            fields=("map", "start", "goal", "path"),
+            fields=MAZE_FIELDS,
             arrays=(
                 LayoutArray(
                     "all__inputs",

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mapdata.datasets.text import maze_texts, maze_tokens
-from mapdata.export.layouts import Columns
+from mapdata.export.layouts import Columns, with_first_optimal_paths
 from mapdata.limits import Size
 from mapdata.shards.files import file_hash
 
@@ -20,8 +20,8 @@ class MazeTextWriter:
     """Writes ``SPLIT.csv``, with a line for each problem.
 
     The columns are the source ("problem" and its number), the question (the cells of the map row by
-    row: "#" occupied, " " free, "S" start, "G" goal), the answer (the same with "o" on a shortest
-    path) and the rating (moves of the path).
+    row: "#" occupied, " " free, "S" start, "G" goal), the answer (the same with "o" on the
+    shortest path of the set's rule, `first_optimal_paths`) and the rating (moves of the path).
     """
 
     def __init__(self, folder: Path) -> None:
@@ -35,9 +35,10 @@ class MazeTextWriter:
             if split not in self._lines:
                 self._lines[split] = 0
                 print(HEADER, file=file)
-            moves = (columns["path"][:, :, 0] >= 0).sum(axis=1) - 1
-            questions = maze_texts(maze_tokens(columns, with_path=False), line_end="")
-            answers = maze_texts(maze_tokens(columns, with_path=True), line_end="")
+            fields = with_first_optimal_paths(columns)
+            moves = (fields["path"][:, :, 0] >= 0).sum(axis=1) - 1
+            questions = maze_texts(maze_tokens(fields, with_path=False), line_end="")
+            answers = maze_texts(maze_tokens(fields, with_path=True), line_end="")
             for question, answer, rating in zip(questions, answers, moves.tolist(), strict=True):
                 number = self._lines[split]
                 print(f"problem{number},{question},{answer},{rating}", file=file)

@@ -25,7 +25,7 @@ from mapdata.describe.problem_statistics import ProblemStatistics
 from mapdata.describe.statistics import count_repeats, hash_grids
 from mapdata.export.about import CARD, write_about
 from mapdata.export.card import problem_card
-from mapdata.export.layouts import LAYOUTS, Columns, Layout
+from mapdata.export.layouts import LAYOUTS, MAZE_FIELDS, Columns, Layout
 from mapdata.export.maze_text import MazeTextWriter
 from mapdata.export.parquet import ParquetWriter
 from mapdata.export.writers import ArrayWriter, LayoutWriter, Writer
@@ -64,7 +64,8 @@ _FEW_MAPS = 0.9
 _FEW_SINGLE_PATHS = 0.9
 """There is a note if less than this share of problems has one shortest path."""
 
-_MAZE_TEXT_FIELDS = ("map", "start", "goal", "path")
+_MAZE_FORMATS = ("maze-hard", "hrm")
+"""The formats whose labels are the paths of maze-30x30-hard-1k's rule."""
 
 
 def export_problems(
@@ -113,7 +114,8 @@ def export_problems(
             maps, or `Random.per_map` of them. More random problems of a built dataset use its maps
             again, with new starts and goals; more of a recipe are on further maps.
         problems: as in `MapDataset`; default "route", and in layouts what their repository draws.
-        search: as in `MapDataset`.
+        search: as in `MapDataset`; none for "maze-hard" and "hrm", whose paths follow the rule of
+            maze-30x30-hard-1k: from the start, the first optimal move of down, left, right and up.
         movement: as in `MapDataset`; layouts have the rule of their repository as default.
         radius: as in `MapDataset`, in metres.
         augment: as in `MapDataset`; the splits val and test stay as they are.
@@ -136,6 +138,11 @@ def export_problems(
         OSError: the disk is full or may not be written to.
     """
     _check_format_options(format, fields, licence, max_length)
+    if format in _MAZE_FORMATS and search != "astar":
+        raise ValueError(
+            f"search: got {search!r}, but {format} has the labels of maze-30x30-hard-1k, of whose "
+            "rule no search is a part; expected none"
+        )
     check_flag("augment", augment)
     problem_set = _problem_set(source)
     given = {"problems": problems, "seed": seed, "radius": radius or None}
@@ -165,7 +172,7 @@ def export_problems(
     parts, origin = _open(source, options, splits, split, count, seed, follow_links)
     dataset = parts[0].dataset
     _check_terrain(format, dataset, search)
-    if format in ("maze-hard", "hrm"):
+    if format in _MAZE_FORMATS:
         _check_square_and_straight(format, dataset)
     rows, columns = dataset.map_size
     if max_length is not None and max_length > rows * columns:
@@ -285,7 +292,7 @@ def _format_fields(format: str, fields: Sequence[str] | None) -> tuple[str, ...]
     if format in LAYOUTS:
         return LAYOUTS[format].fields
     if format == "maze-hard":
-        return _MAZE_TEXT_FIELDS
+        return MAZE_FIELDS
     if fields is None:
         return DEFAULT_FIELDS
     for field in fields:

@@ -72,7 +72,7 @@ def test_answers_of_each_form_are_right(answer: Any) -> None:
 def test_a_marked_maze_of_neighbours_would_be_the_prompt() -> None:
     """The error names the band that leaves them out, and the forms that can say it."""
     neighbours = {"random": {"length": [2, 2]}}
-    options = {"length": 3, "problems": neighbours}
+    options: dict[str, Any] = {"length": 3, "problems": neighbours}
     with pytest.raises(ValueError, match=r'expected longer paths, problems=\{"random": \{"length"'):
         OnlineMapDataset(Maze((7, 7)), transform=maze_text, **options)[0]
     letters = functools.partial(maze_text, answer="letters")

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.grids import random_grids
+from helpers.reference import add, reference_distances
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
@@ -33,8 +34,7 @@ from mapdata.export.layouts import Columns
 from mapdata.export.parquet import ParquetWriter
 from mapdata.export.problems import _Part
 from mapdata.export.writers import ArrayWriter
-from mapdata.formats import Collection, ForeignMap, import_maps
-from mapdata.formats.maze_hard import is_shortest_answer
+from mapdata.formats import Collection, ForeignMap, import_maps, is_shortest_answer
 from mapdata.problems.sources import plain_text
 from mapdata.shards import DatasetNotFoundError
 
@@ -478,6 +478,59 @@ def test_a_band_of_lengths_makes_hard_mazes(tmp_path: Path) -> None:
     lines = (tmp_path / "out/train.csv").read_text().splitlines()[1:]
     assert min(int(line.rpartition(",")[2]) for line in lines) >= 30
     assert len({line.split(",")[1].replace("S", " ").replace("G", " ") for line in lines}) == 20
+
+
+@pytest.mark.parametrize("format", ["maze-hard", "hrm"])
+@pytest.mark.parametrize("augment", [False, True])
+def test_labels_of_mazes_follow_the_rule_of_the_set(
+    tmp_path: Path,
+    format: str,  # noqa: A002
+    augment: bool,
+) -> None:
+    """Also under symmetries, which would turn a path of this rule into one of another."""
+    loops = Maze((9, 9), reopened=0.6)
+    problems = Random(length=(5, None))
+    out = tmp_path / "out"
+    export_problems(
+        loops, out, format=format, problems=problems, count=40, split="train", augment=augment
+    )
+    if format == "hrm":
+        tokens = [np.load(out / f"train/all__{name}.npy") for name in ("inputs", "labels")]
+        texts = np.frombuffer(b"\0# SGo", np.uint8)[tokens].reshape(2, 40, 9, 9)
+    else:
+        lines = (out / "train.csv").read_text().splitlines()[1:]
+        columns = ["".join(line.split(",")[1:3]) for line in lines]
+        codes = np.frombuffer("".join(columns).encode(), np.uint8)
+        texts = codes.reshape(40, 2, 9, 9).swapaxes(0, 1)
+    has_several = 0
+    for question, answer in zip(*texts, strict=True):
+        grid = (question == ord("#")).astype(int).tolist()
+        ((row, column),) = np.argwhere(question == ord("S")).tolist()
+        ((goal_row, goal_column),) = np.argwhere(question == ord("G")).tolist()
+        goal = (goal_row, goal_column)
+        # The reference follows, from the start, the first optimal move of down, left, right, up.
+        costs = reference_distances(grid, goal, Movement(4))
+        cell = (row, column)
+        marked = set()
+        while cell != goal:
+            row, column = cell
+            steps = [(row + 1, column), (row, column - 1), (row, column + 1), (row - 1, column)]
+            optimal = [step for step in steps if costs.get(step) == add(costs[cell], (-1, 0))]
+            has_several += len(optimal) > 1
+            cell = optimal[0]
+            marked.add(cell)
+        assert {tuple(place) for place in np.argwhere(answer == ord("o")).tolist()} == marked - {
+            goal
+        }
+    assert has_several > 10
+
+
+@pytest.mark.parametrize("format", ["maze-hard", "hrm"])
+def test_labels_of_mazes_are_of_no_search(tmp_path: Path, format: str) -> None:  # noqa: A002
+    """A search that would change nothing is refused."""
+    with pytest.raises(ValueError, match=rf"search: got 'bfs', but {format} has the labels"):
+        export_problems(MAZE, tmp_path / "out", format=format, search="bfs")
+    assert not (tmp_path / "out").exists()
 
 
 # --- Parquet --------------------------------------------------------------------------------------
