@@ -193,8 +193,11 @@ def _check_shortest(is_occupied: Flags, path: Ints, ends: tuple[Ints, Ints]) -> 
     if move_count == min_move_count != 0:
         return  # both are -1 where there is no path
     if move_count < 0:
-        # The text shows S and G in place of occupied cells, and so a path from the one to the other.
-        fault = f"no path where {min_move_count:.0f} moves are enough (the start or the goal is occupied)"
+        # The text shows S and G in place of occupied cells, and so a path between them.
+        fault = (
+            f"no path where {min_move_count:.0f} moves are enough (the start or the goal is "
+            "occupied)"
+        )
     elif move_count == 0:
         fault = "a path of 1 cell"
     elif (np.abs(np.diff(path, axis=0)).sum(axis=1) != 1).any():
