@@ -268,7 +268,7 @@ class _Part:
     """
 
     split: str
-    dataset: SampledProblemDataset
+    dataset: ProblemDataset
     count: int
 
     def batches(self, max_batch: int) -> Iterator[Columns]:
@@ -639,7 +639,8 @@ def _write(
             advance(0, f"{tried:,} maps tried")
 
         for part in parts:
-            part.dataset.report_tried = report_tried
+            if isinstance(part.dataset, SampledProblemDataset):
+                part.dataset.report_tried = report_tried
             for served in part.batches(max_batch):
                 indices_of_batches[part.split].append(served["map_index"])
                 columns = {name: served[name] for name in fields}

@@ -75,7 +75,8 @@ class Question(NamedTuple):
     @property
     def is_occupied(self) -> Flags:
         """(H, W) bool."""
-        return self.cells == _OCCUPIED
+        occupied: Flags = self.cells == _OCCUPIED
+        return occupied
 
 
 class _Part(NamedTuple):
@@ -204,9 +205,9 @@ def parse_question(question: object) -> Question:
     if not _QUESTION.fullmatch(question.replace("\n", "")):
         raise FormatError("question: expected cells '#' and ' ', one S and one G")
     cells = _grid_of_cells(question)
-    (start,) = np.argwhere(cells == _START).tolist()
-    (goal,) = np.argwhere(cells == _GOAL).tolist()
-    return Question(cells, tuple(start), tuple(goal))
+    ((start_row, start_column),) = np.argwhere(cells == _START).tolist()
+    ((goal_row, goal_column),) = np.argwhere(cells == _GOAL).tolist()
+    return Question(cells, (start_row, start_column), (goal_row, goal_column))
 
 
 def _grid_of_cells(text: str) -> Bytes:
