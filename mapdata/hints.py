@@ -1,7 +1,8 @@
-"""What the numbers of an array probably mean, for errors where 0 free and 1 occupied are expected.
+"""What an array or a file probably is, for errors where another one is expected.
 
-`HINTS` is the one table of such meanings. Each states what to do, as a line of numpy in which the
-array is called ``values``.
+`HINTS` is the one table of what the numbers of an array mean where 0 free and 1 occupied are
+expected. Each entry states what to do, as a line of numpy in which the array is called ``values``.
+`CONTENTS` is the one table of what a file is that cannot be read under its name.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ class Facts(NamedTuple):
         are_integers: whether all finite numbers are whole.
         has_nan: whether there is a NaN.
         has_infinity: whether there is an infinite number.
+        is_wrapped: whether 255 and 100 are the two highest numbers, so that 255 is probably a -1
+            that was stored as an unsigned byte.
     """
 
     low: float
@@ -30,6 +33,7 @@ class Facts(NamedTuple):
     are_integers: bool
     has_nan: bool
     has_infinity: bool
+    is_wrapped: bool
 
 
 class Hint(NamedTuple):
@@ -63,9 +67,14 @@ HINTS = (
         lambda facts: facts.low >= 0 and facts.high <= 1 and not facts.are_integers,
     ),
     Hint(
+        "an OccupancyGrid of ROS as bytes without a sign: 255 unknown, 0 free, 100 occupied",
+        "values != 0 makes unknown cells occupied, (values > 50) & (values <= 100) makes them free",
+        lambda facts: facts.low == 0 and facts.is_wrapped,
+    ),
+    Hint(
         "the brightness of a picture",
         "values < 128 makes dark cells occupied, values >= 128 bright ones",
-        lambda facts: facts.low >= 0 and 100 < facts.high <= 255,
+        lambda facts: facts.low >= 0 and 128 <= facts.high <= 255,
     ),
     Hint(
         "an OccupancyGrid of ROS: -1 unknown, 0 free, 100 occupied",
@@ -118,6 +127,46 @@ def hint_on_values(values: Array) -> str:
         are_integers=bool((finite == np.floor(finite)).all()),
         has_nan=bool(np.isnan(values).any()),
         has_infinity=bool(np.isinf(values).any()),
+        is_wrapped=bool((finite == 255).any() and finite[finite != 255].max(initial=0) == 100),
     )
     hint = next(hint for hint in HINTS if hint.applies(facts))
     return f"; it looks like {hint.meaning}: {hint.remedy}"
+
+
+CONTENTS = (
+    (
+        b"version https://git-lfs.github.com/spec/",
+        "a pointer of Git LFS to the file: git lfs pull fetches it",
+    ),
+    (b"/annex/objects/", "a pointer of git-annex to the file: git annex get fetches it"),
+    (b"../.git/annex/objects/", "a pointer of git-annex to the file: git annex get fetches it"),
+    (b"<!DOCTYPE html", "a web page: download the file itself, which GitHub calls raw"),
+    (b"<html", "a web page: download the file itself, which GitHub calls raw"),
+    (b"\x89PNG\r\n", "a PNG picture: its name should end with .png"),
+    (b"\xff\xd8\xff", "a JPEG picture: its name should end with .jpg"),
+    (b"\x93NUMPY", "an array of numpy: its name should end with .npy"),
+    (b"PK\x03\x04", "a zip archive, as .npz files are: its name should end with .npz or .zip"),
+    (b"\x1f\x8b", "packed by gzip: gunzip unpacks it"),
+)
+"""What files are, by their first bytes, and what to do."""
+
+_PRINTED = frozenset(range(32, 127)) | frozenset(b"\t\r\n")
+"""The bytes of plain text."""
+
+
+def hint_on_content(start: bytes, *, text_expected: bool = False) -> str:
+    """Return the end of an error message: what a file seems to be, and what to do.
+
+    Args:
+        start: the first bytes of the file, 64 of them or more.
+        text_expected: plain text is no reason for a hint.
+
+    >>> hint_on_content(b"0.0 1.0 0.0")
+    '; it looks like plain text: its name should end with .txt or .csv'
+    """
+    for first_bytes, meaning in CONTENTS:
+        if start[: len(first_bytes)].lower() == first_bytes.lower():
+            return f"; it looks like {meaning}"
+    if start and _PRINTED.issuperset(start) and not text_expected:
+        return "; it looks like plain text: its name should end with .txt or .csv"
+    return ""

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.lib.format import read_array_header_1_0, read_array_header_2_0, read_magic
 
 from mapdata.arrays import Array
+from mapdata.hints import hint_on_content
 
 MAX_BYTES = 2**30
 """The default limit of what an archive unpacks to, in bytes, for the arrays that are read."""
@@ -245,6 +246,8 @@ class Npz:
         self._sizes: dict[str, int] = {}
         if not path.is_file():
             raise FormatError(f"{path}: no such file")
+        with refusing(f"{path}: not a sound .npz file"), open(path, "rb") as file:
+            _check_start(path, file, b"PK", "an .npz")
         with refusing(f"{path}: not a sound .npz file"), _opened_archive(path) as archive:
             members = [member for member in archive.infolist() if member.filename[-4:] == ".npy"]
             if not 1 <= len(members) <= _MAX_MEMBERS:
@@ -340,6 +343,25 @@ class Npz:
         )
 
 
+def _check_start(path: Path, file: IO[bytes], first_bytes: bytes, kind: str) -> None:
+    """Refuse a file of another kind than its name says, if its first bytes tell which.
+
+    Args:
+        path: of the file.
+        file: opened at its start, where it is afterwards too.
+        first_bytes: those of a file of the kind.
+        kind: for the message, with the article.
+
+    Raises:
+        FormatError: it is of another kind that `hint_on_content` knows.
+    """
+    start = file.read(64)
+    file.seek(0)
+    hint = "" if start.startswith(first_bytes) else hint_on_content(start)
+    if hint:
+        raise FormatError(f"{path}: not {kind} file{hint}")
+
+
 def open_npy(path: Path) -> StoredArray:
     """Return the array of an .npy file, unread.
 
@@ -349,6 +371,7 @@ def open_npy(path: Path) -> StoredArray:
     if not path.is_file():
         raise FormatError(f"{path}: no such file")
     with refusing(f"{path}: not a sound .npy file"), open(path, "rb") as file:
+        _check_start(path, file, b"\x93NUMPY", "an .npy")
         header = _read_header(file)
         size = file.seek(0, io.SEEK_END)
     return _checked_array(header, label=str(path), size=size, path=path)

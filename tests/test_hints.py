@@ -21,6 +21,10 @@ ARRAYS: dict[str, tuple[Any, str]] = {
     "mask of floats": (np.where(WALLS, 0.0, 255.0), "the brightness of a picture"),
     "greys": (np.where(WALLS, 13, 240), "the brightness of a picture"),
     "occupancy": (np.where(WALLS, 100, 0).astype(np.int8), "an OccupancyGrid of ROS"),
+    "occupancy as bytes": (
+        np.where(np.cumsum(WALLS).reshape(WALLS.shape) < 4, 255, 100 * WALLS).astype(np.uint8),
+        "an OccupancyGrid of ROS as bytes",
+    ),
     "unknown cells": (np.where(WALLS, -1, 0), "an OccupancyGrid of ROS"),
     "costs": (np.where(WALLS, np.inf, 1.5), "costs with infinity on walls"),
     "costs alone": (np.where(WALLS, 9, 1), "costs without walls"),
@@ -60,6 +64,11 @@ def test_arrays_of_0_and_1_need_no_hint() -> None:
     """The reason is another one then, such as the shape."""
     for array in (WALLS, WALLS.astype(bool), WALLS.astype(float), np.array([None])):
         assert hint_on_values(array) == ""
+
+
+def test_numbers_up_to_101_are_no_brightness() -> None:
+    """No cell of such an array would be bright."""
+    assert "numbers of kinds of cells" in hint_on_values(np.array([[0, 100, 101]]))
 
 
 def test_every_door_gives_the_hint(tmp_path: Path) -> None:

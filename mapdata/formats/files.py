@@ -18,7 +18,7 @@ from PIL import Image
 from mapdata.arrays import Array, Bytes, Ints
 from mapdata.checks import check_count
 from mapdata.formats.collection import Collection
-from mapdata.hints import hint_on_values
+from mapdata.hints import hint_on_content, hint_on_values
 from mapdata.limits import SPLITS, Cell
 from mapdata.npy import MAX_BYTES, FormatError, StoredArray, refusing
 from mapdata.shards.errors import LINK_REMEDY
@@ -61,13 +61,21 @@ def check_file(path: Path, limits: Limits) -> None:
         FormatError: it is not.
     """
     if not path.exists():
-        link = f" (a link to {os.readlink(path)})" if path.is_symlink() else ""
-        raise FormatError(f"{path}: no such file{link}")
+        raise FormatError(f"{path}: no such file{_target_of_link(path)}")
     if not path.is_file():
         raise FormatError(f"{path}: not a plain file")
     size = path.stat().st_size
     if size > limits.unpacked:
         raise FormatError(f"{path}: has {size} bytes, expected at most {limits.unpacked}")
+
+
+def _target_of_link(path: Path) -> str:
+    """Return where a link leads, for the message that nothing is there; empty if it is no link."""
+    if not path.is_symlink():
+        return ""
+    target = os.readlink(path)
+    advice = "; git annex get fetches it" if "/annex/objects/" in target else ""
+    return f" (a link to {target}){advice}"
 
 
 def check_pixels(label: str, rows: int, columns: int, limits: Limits) -> None:
@@ -107,8 +115,9 @@ def read_text(path: Path, limits: Limits = LIMITS) -> str:
         FormatError: as `read_bytes`; or it is no text.
     """
     content = read_bytes(path, limits)
-    if b"\0" in content[:4096]:
-        raise FormatError(f"{path}: not a text file")
+    hint = hint_on_content(content[:64], text_expected=True)
+    if b"\0" in content[:4096] or hint:
+        raise FormatError(f"{path}: not a text file{hint}")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -205,21 +214,25 @@ def _is_searched(
     Args:
         subfolder: may be a link.
         folder: that is searched.
-        seen_folders: real paths of the folders that links have led to; this one is added to them.
+        seen_folders: real paths of the folders that are searched already, if links are followed;
+            this one is added to them.
         limits: say whether links are followed.
         collection: a link that is not followed is added to its ``left_out``.
     """
-    if not subfolder.is_symlink():
+    if subfolder.is_symlink():
+        if not leads_out(subfolder, folder):
+            return False  # its files are found where they are
+        with collection.leaving_out(subfolder):
+            checked_inside(subfolder, folder, limits)
+        if not limits.follow_links:
+            return False
+    elif not limits.follow_links:
         return True
-    if not leads_out(subfolder, folder):
-        return False  # its files are found where they are
-    with collection.leaving_out(subfolder):
-        checked_inside(subfolder, folder, limits)
-        target = os.path.realpath(subfolder)
-        if target not in seen_folders:
-            seen_folders.add(target)
-            return True
-    return False
+    # Links may lead to a folder that holds this one, or to the same folder twice.
+    target = os.path.realpath(subfolder)
+    is_new = target not in seen_folders
+    seen_folders.add(target)
+    return is_new
 
 
 def natural_key(text: str) -> list[Any]:
@@ -348,6 +361,8 @@ def check_grids(array: StoredArray, limits: Limits, threshold: float | None = No
         hint = ""
         if shape[-1:] in ((3,), (4,)):
             hint = "; it looks like pictures of colours: values[..., :3].mean(axis=-1) < 128"
+        elif len(shape) == 1:
+            hint = "; values.reshape(rows, columns) makes a grid of it"
         raise FormatError(
             f"{array.label}: has shape {shape}, expected (H, W), (N, H, W) or (N, 1, H, W){hint}"
         )
@@ -443,7 +458,7 @@ def files_with_endings(
         FormatError: no such file or folder, or more than ``limits.files`` files.
     """
     if not source.exists():
-        raise FormatError(f"{source}: no such file or folder")
+        raise FormatError(f"{source}: no such file or folder{_target_of_link(source)}")
     paths = [source]
     if source.is_dir():
         paths = files_below(source, endings, limits, collection)

@@ -33,8 +33,10 @@ from mapdata.formats.files import (
 )
 from mapdata.formats.registry import Format
 from mapdata.formats.shrinking import FreeSpace, any_occupied, check_free
+from mapdata.hints import hint_on_content
 from mapdata.limits import Size
 from mapdata.npy import FormatError, Npz, StoredArray, open_npy, refusing
+from mapdata.search.api import distance_field
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp", ".tif", ".tiff", ".gif")
 ARRAYS = (".npy", ".npz")
@@ -50,6 +52,9 @@ _MIN_FREE = 250
 
 _MIN_SHARE = 0.01
 """Share of the pixels from which on a grey is one of the main greys of a picture."""
+
+_MIN_INSIDE = 0.2
+"""Share of free cells that are left inside of a plan, below which a note doubts the result."""
 
 _PHOTOMETRIC = 262
 """The TIFF tag of the meaning of pixel values. If it is 0, a pixel of 0 is white."""
@@ -110,6 +115,7 @@ def read_pixels(path: Path, limits: Limits = LIMITS, *, upright: bool = False) -
             except UnidentifiedImageError:
                 raise FormatError(
                     f"{path}: not a PNG, JPEG, BMP, PGM, WebP, TIFF or GIF picture"
+                    f"{hint_on_content(content[:64])}"
                 ) from None
         with image:
             columns, rows = image.size
@@ -189,6 +195,7 @@ def read(
     threshold: float = 0.5,
     invert: bool = False,
     unknown: Literal["occupied", "free"] | None = None,
+    outside: Literal["occupied", "free"] | None = None,
     size: Size | None = None,
     fit: Literal["resize", "crop"] | None = None,
     resample: Literal["any", "mean"] | None = None,
@@ -208,6 +215,8 @@ def read(
         invert: exchange free and occupied cells.
         unknown: state of unknown cells (grey 205) in a robot's map without its .yaml file; without
             this option, such pictures are left out.
+        outside: state of the free cells that are connected to the edge of the map, such as the
+            paper around a floor plan (default: free, and a note says so if most edges are free).
         size: (rows, columns) of the maps; pictures of other sizes are resized or cropped.
         fit: how maps get this size: resize scales them, crop takes their middle (default: resize).
         resample: rule for a cell of a resized map: it is occupied if any part of its area is
@@ -228,6 +237,7 @@ def read(
         raise ValueError("resample: does nothing without size and resizing")
     collection = Collection()
     unknown_shares = []
+    inside_shares: dict[str, float] = {}
     free_space = FreeSpace()
     has_archive = False
     for path in files_with_endings(source, (*PICTURES, *ARRAYS), limits, collection):
@@ -241,6 +251,10 @@ def read(
                 for number, grid in enumerate(read_grids(stored, threshold)):
                     name = f"{path}[{number}]" if is_stack else str(path)
                     cells = 1 - grid if invert else grid
+                    if outside == "occupied":
+                        is_outside = _outside(cells)
+                        inside_shares[name] = 1 - is_outside.sum() / (cells == 0).sum()
+                        cells = cells | is_outside
                     sized = _sized(
                         cells, partial(_mean_of_cells, cells), size, fit, resample, free_space
                     )
@@ -255,6 +269,11 @@ def read(
                     is_white = (unknown == "free") != invert
                     grey[is_unknown] = 255 if is_white else 0
                 cells = _cells_of_picture(grey, threshold, invert)
+                if outside == "occupied":
+                    is_outside = _outside(cells)
+                    inside_shares[str(path)] = 1 - is_outside.sum() / (cells == 0).sum()
+                    grey[is_outside] = 255 if invert else 0
+                    cells = _cells_of_picture(grey, threshold, invert)
                 mean = partial(_mean_of_picture, grey, threshold, invert)
                 sized = _sized(cells, mean, size, fit, resample, free_space)
                 unknown_shares.append(is_unknown.mean())
@@ -264,7 +283,14 @@ def read(
     if size is not None:
         collection.notes += free_space.notes(*_size_note(size, fit, resample))
     free_cells = "dark pixels (1 in arrays)" if invert else "bright pixels (0 in arrays)"
-    note_free_cells(collection, free_cells, "--images.invert")
+    advice = None
+    if outside is None:
+        advice = (
+            "for the paper around a plan say --images.outside occupied, for a map that is open at "
+            "its edge --images.outside free; --images.invert exchanges free and occupied"
+        )
+    note_free_cells(collection, free_cells, advice)
+    collection.notes += _notes_on_outside(inside_shares)
     if unknown is not None and any(unknown_shares):
         share = percent(float(np.mean(unknown_shares)))
         collection.notes.append(f"{share} of the cells were unknown and are now {unknown}")
@@ -295,6 +321,42 @@ def _check_picture(
         )
     if unknown is None and is_unknown.any() and threshold * 255 < UNKNOWN:
         raise FormatError(f"{path}: {_unknown_advice(path, is_unknown)}")
+
+
+def _outside(cells: Bytes) -> Flags:
+    """Return which free cells of a grid, (H, W), are connected to its edge by straight moves.
+
+    Raises:
+        FormatError: all free cells are.
+    """
+    framed = np.pad(cells, 1)  # a frame of free cells, which joins those at the edge
+    is_outside: Flags = distance_field(framed, (0, 0))[1:-1, 1:-1] >= 0
+    if (is_outside | (cells != 0)).all():
+        raise FormatError(
+            "no free cell is left inside: all are connected to the edge of the map, perhaps by an "
+            "open door; close it in the picture, or leave --images.outside out"
+        )
+    return is_outside
+
+
+def _notes_on_outside(inside_shares: dict[str, float]) -> list[str]:
+    """Return a note on the free cells that `_outside` has closed.
+
+    Args:
+        inside_shares: by the name of each map, the share of its free cells that stay free.
+    """
+    if not inside_shares:
+        return []
+    closed = percent(1 - sum(inside_shares.values()) / len(inside_shares))
+    note = f"{closed} of the free cells were connected to the edge of a map and are now occupied"
+    open_plans = [name for name, share in inside_shares.items() if share < _MIN_INSIDE]
+    if open_plans:
+        note += (
+            f"; of {len(open_plans)} of {len(inside_shares)} maps ({open_plans[0]}) less than "
+            f"{_MIN_INSIDE:.0%} is left, perhaps because a door or window in the outer wall is "
+            "open: look at them, and close it in the picture"
+        )
+    return [note]
 
 
 def _cells_of_picture(grey: Bytes, threshold: float, invert: bool) -> Bytes:
@@ -430,18 +492,18 @@ def _unknown_advice(path: Path, is_unknown: Flags) -> str:
     )
 
 
-def note_free_cells(collection: Collection, free_cells: str, option: str | None) -> None:
+def note_free_cells(collection: Collection, free_cells: str, advice: str | None) -> None:
     """Add notes on which cells were taken for free, how many, and whether that seems wrong.
 
     The border of most maps is mostly occupied. If the border of most maps here is free, free and
-    occupied are probably mixed up. Of the paper's own maps, whose rooms reach the border, a fifth
-    has a free border.
+    occupied may be mixed up, or the maps show plans with paper around them, where seed points would
+    be drawn. Of the paper's own maps, whose rooms reach the border, a fifth has a free border.
 
     Args:
         collection: the maps that were read; its notes are extended.
         free_cells: how the source shows free cells, for the notes.
-        option: the option that swaps free and occupied, for the notes; None if the source itself
-            says which cells are free, so that a free border is no reason to doubt.
+        advice: what to do about a free border, for the notes; None if the source itself says which
+            cells are free, so that a free border is no reason to doubt.
     """
     free_shares = []
     inverted = []
@@ -456,10 +518,10 @@ def note_free_cells(collection: Collection, free_cells: str, option: str | None)
         collection.notes.append(
             f"{free_cells} were taken for free: {percent(float(np.mean(free_shares)))} of a map"
         )
-    if option is not None and 2 * len(inverted) > len(free_shares):
+    if advice is not None and 2 * len(inverted) > len(free_shares):
         collection.notes.append(
             f"the border of {len(inverted)} of {len(free_shares)} maps is mostly free "
-            f"({inverted[0]}), as if free and occupied were mixed up: {option} reads them otherwise"
+            f"({inverted[0]}): {advice}"
         )
 
 

@@ -188,7 +188,11 @@ def read(source: Path, limits: Limits = LIMITS) -> Collection:
                 collection.maps.append(foreign_map)
             advance(1)
     collection.movement = _parse_movement(path, movements)
-    note_free_cells(collection, "dark pixels (in the paper white is occupied)", "--format images")
+    note_free_cells(
+        collection,
+        "dark pixels (in the paper white is occupied)",
+        "if free and occupied are mixed up, --format images reads them otherwise",
+    )
     return collection
 
 

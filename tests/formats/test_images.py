@@ -7,6 +7,7 @@ import struct
 import sys
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -525,6 +526,81 @@ def test_a_note_says_which_cells_are_free(ending: str, tmp_path: Path) -> None:
     assert "--images.invert" in warning
     told = "dark pixels (1 in arrays) were taken for free: 50.0% of a map"
     assert notes(1 - ROOM, invert=True) == [told]
+
+
+PLAN: Bytes = np.pad(ROOM, 2)
+"""A room with paper around it."""
+
+
+@pytest.mark.parametrize("invert", [False, True])
+@pytest.mark.parametrize("resample", [None, "mean"])
+@pytest.mark.parametrize("ending", ["png", "npy"])
+def test_the_paper_around_a_plan_can_be_closed(
+    ending: str, resample: str | None, invert: bool, tmp_path: Path
+) -> None:
+    """Only the inside of the room stays free, and the note on free borders names the option."""
+    path = tmp_path / f"a.{ending}"
+    cells = 1 - PLAN if invert else PLAN
+    if ending == "npy":
+        np.save(path, cells)
+    else:
+        Image.fromarray(255 * (1 - cells)).save(path)
+    options: dict[str, Any] = {"invert": invert}
+    plain = read(path, **options)
+    assert np.array_equal(plain.maps[0].grid, PLAN)
+    assert any("--images.outside occupied" in note for note in plain.notes)
+    if resample is not None:
+        rows, columns = PLAN.shape
+        options |= {"size": (2 * rows, 2 * columns), "resample": resample}
+    closed = read(path, outside="occupied", **options)
+    expected = np.pad(np.zeros((4, 6), np.uint8), 3, constant_values=1)
+    if resample is not None:
+        expected = expected.repeat(2, 0).repeat(2, 1)
+    assert np.array_equal(closed.maps[0].grid, expected)
+    share = 1 - 24 / np.count_nonzero(PLAN == 0)
+    assert f"{share:.1%} of the free cells were connected to the edge" in closed.notes[-1]
+    assert not any("border" in note for note in closed.notes)
+    same = read(path, outside="free", **options)
+    assert np.array_equal(same.maps[0].grid.mean(), plain.maps[0].grid.mean())
+    assert not any("border" in note for note in same.notes)
+
+
+def test_a_plan_with_an_open_door_is_no_silent_ruin(tmp_path: Path) -> None:
+    """Nothing is left inside, or a small room alone: an error or a note says why."""
+    plan = PLAN.copy()
+    plan[2, 5] = 0
+    Image.fromarray(255 * (1 - plan)).save(tmp_path / "a.png")
+    ((_, reason),) = read(tmp_path, outside="occupied").left_out
+    assert reason.startswith("no free cell is left inside: all are connected to the edge")
+    plan[3, 3] = 0
+    plan[[3, 4], [4, 3]] = 1  # a closet in the corner
+    Image.fromarray(255 * (1 - plan)).save(tmp_path / "a.png")
+    *_, note = read(tmp_path, outside="occupied").notes
+    assert "of 1 of 1 maps" in note
+    assert "less than 20% is left, perhaps because a door or window" in note
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "hint"),
+    [
+        ("a.png", b"version https://git-lfs.github.com/spec/v1\noid sha256:00\n", "git lfs pull"),
+        ("a.npy", b"version https://git-lfs.github.com/spec/v1\noid sha256:00\n", "git lfs pull"),
+        ("a.npz", b"/annex/objects/SHA256E-s1--00.npz\n", "git annex get"),
+        ("a.png", b"../.git/annex/objects/x/y", "git annex get"),
+        ("a.jpg", b"<!doctype html>\n<html>", "a web page: download the file itself"),
+        ("a.npy", b"\x89PNG\r\n\x1a\n", "its name should end with .png"),
+        ("a.npz", b"\x93NUMPY\1\0", "its name should end with .npy"),
+        ("a.npy", b"0.0 1.0 1.0\n", "plain text: its name should end with .txt or .csv"),
+    ],
+)
+def test_a_file_that_is_another_one_is_named(
+    name: str, content: bytes, hint: str, tmp_path: Path
+) -> None:
+    """Pointers of Git LFS and git-annex, web pages, and files with another's ending."""
+    (tmp_path / name).write_bytes(content)
+    ((_, reason),) = read(tmp_path).left_out
+    assert "; it looks like " in reason
+    assert hint in reason
 
 
 @pytest.mark.parametrize("data", [b"P5\n8 6\n255\n", b"P5 8 6 65535\n"])
