@@ -120,7 +120,9 @@ def recognise(source: StrPath, limits: Limits = LIMITS) -> str:
     if not names and collection.left_out:
         raise FormatError(_no_map_message(source, "known", collection))
     if not names:
-        raise FormatError(f"{source}: holds no file of a known format{_advice(unrecognised)}")
+        raise FormatError(
+            f"{source}: holds no file of a known format{_advice(source, unrecognised, limits)}"
+        )
     if len(names) > 1:
         raise FormatError(
             f"{source}: holds files of {' and '.join(sorted(names))}; --format says which to read"
@@ -128,23 +130,40 @@ def recognise(source: StrPath, limits: Limits = LIMITS) -> str:
     return names.pop()
 
 
-def _advice(unrecognised: list[Path]) -> str:
+def _advice(source: Path, unrecognised: list[Path], limits: Limits) -> str:
     """Return the end of the error that no file is of a known format: what can be done.
 
     Args:
+        source: file or folder.
         unrecognised: the files that no format recognises, in a folder those with a known ending.
+        limits: of what is read.
     """
+    if _has_pointers_of_dvc(source, limits):
+        return "; its .dvc files are pointers of DVC to other files: dvc pull fetches them"
     known_formats = [known_format for known_format in FORMATS.values() if known_format.read]
     for path in unrecognised:
         ending = path.suffix.lower()
-        names = [each.name for each in known_formats if ending in each.endings]
-        if names:
-            return (
-                f"; {path.name} has the ending of {', '.join(names)}: --format {names[0]} says "
-                "what is wrong with it"
-            )
+        for known_format in known_formats:
+            if ending in known_format.endings and known_format.read:
+                try:
+                    collection = known_format.read(path, replace(limits, progress=False))
+                    reasons = [reason for _, reason in collection.left_out]
+                except ValueError as error:
+                    reasons = [str(error).removeprefix(f"{path}: ")]
+                if reasons:
+                    return f"; --format {known_format.name} refuses {path.name}: {reasons[0]}"
+                return (
+                    f"; {path.name} has the ending of {known_format.name}: --format "
+                    f"{known_format.name} reads it"
+                )
     endings = sorted({ending for each in known_formats for ending in each.endings})
     return f"; expected files that end with {', '.join(endings)}"
+
+
+def _has_pointers_of_dvc(source: Path, limits: Limits) -> bool:
+    """Return whether a file is a pointer of DVC, or whether one is below a folder."""
+    paths = files_with_endings(source, (".dvc",), replace(limits, progress=False), Collection())
+    return any(path.suffix == ".dvc" for path in paths)
 
 
 def read_any(

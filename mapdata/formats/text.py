@@ -5,7 +5,9 @@ A file of either kind holds one map, or several with empty lines between them.
 - The rows of a table are numbers with commas, semicolons, tabs or spaces between them, as
   spreadsheets and `numpy.savetxt` write them, or digits 0 and 1 alone.
 - The rows of a maze are letters: "#" and "@" are occupied, "." and " " free, "S" is the start and
-  "G" the goal.
+  "G" a goal. The same separator, such as a tab, may be between all letters.
+- A drawing of a maze has posts, "+" or "o", with walls between them, "-" and "|", as micromouse
+  contests publish them. Posts, walls and squares become a cell each.
 """
 
 from __future__ import annotations
@@ -40,7 +42,25 @@ FREE = ". "
 """The letters of free cells by default."""
 
 _START, _GOAL = "S", "G"
-"""The letters of start and goal, which are free cells."""
+"""The letters of start and goals, which are free cells."""
+
+_COMMENT = "#"
+"""What `numpy.savetxt` and `numpy.loadtxt` have before lines that are no rows of a table."""
+
+_SEPARATORS = " \t,;"
+"""What may be between the letters of a maze."""
+
+_POSTS = re.compile(r"([+o])(-+| +)[+o]((-+| +)[+o])*")
+"""The first row of a drawing of a maze: posts, with walls or openings between them."""
+
+_SQUARES = re.compile(rf"[| {_START}{_GOAL}]+")
+"""The second row of a drawing: walls, and the squares between them."""
+
+_NO_HEADER = (
+    "a table has neither header nor index; pandas leaves them out with "
+    "to_csv(path, header=False, index=False)"
+)
+"""What to do about the first row of a table that is none of its rows."""
 
 _DIGITS = re.compile(r"[01]+")
 """A row of a table without anything between its numbers."""
@@ -67,10 +87,12 @@ def is_text_map(path: Path) -> bool:
     with path.open("rb") as file:
         start = file.read(_SNIFFED)
     text = start.removeprefix(codecs.BOM_UTF8).decode("latin-1").replace("\r\n", "\n")
-    rows = [line for line in text.split("\n", 1000) if line][:2]
+    rows = _without_comments([line for line in text.split("\n", 1000) if line])[:2]
     if len(rows) < 2:
         return False
-    first, second = rows
+    if _POSTS.fullmatch(rows[0].rstrip()) and _SQUARES.fullmatch(rows[1]):
+        return "|" in rows[1]
+    first, second = rows = _without_separators(rows)
     if _is_row_of_table(first):
         try:
             numbers = _table("", rows)
@@ -112,18 +134,29 @@ def read(
             f"and neither {_START} nor {_GOAL} among the occupied ones"
         )
     collection = Collection()
+    drawing_count = 0
     for path in files_with_endings(source, ENDINGS, limits, collection):
         with collection.leaving_out(path):
             blocks = _blocks(path, read_text(path, limits), limits)
             split = split_from_folders(path, source)
+            drawings = {}
+            if (occupied, free) == (OCCUPIED, FREE):
+                drawings = {name: _drawn_cells(name, lines) for name, lines in blocks}
             # All are parsed before any is used, so that a damaged file gives no map.
             collection.maps += [
-                _parsed(name, lines, split, occupied, free, invert) for name, lines in blocks
+                _parsed(name, drawings.get(name) or lines, split, occupied, free, invert)
+                for name, lines in blocks
             ]
+            drawing_count += sum(cells is not None for cells in drawings.values())
+    if drawing_count:
+        collection.notes.append(
+            f"{drawing_count} of {len(collection.maps)} maps are drawings of mazes: square (r, c) "
+            "is cell (2 r + 1, 2 c + 1), and posts and walls are cells between the squares"
+        )
     free_cells = f"0, and the letters {free_letters!r},"
     if invert:
         free_cells = f"1, and the letters {occupied!r},"
-    note_free_cells(collection, free_cells, "--text.invert")
+    note_free_cells(collection, free_cells, "--text.invert exchanges free and occupied")
     return collection
 
 
@@ -174,16 +207,122 @@ def _parsed(
         FormatError: the lines are neither a table of 0 and 1 nor a maze.
     """
     seed_points: Ints = np.empty((0, 2), np.int64)
+    rooms_known = False
+    lines = _without_comments(lines)
     if _is_row_of_table(lines[0]):
-        grid = to_occupancy(_table(name, lines), name)
+        numbers = _table(name, lines)
+        if len(numbers) > 1 and numbers.shape[1] > 2 and _counts_columns(numbers[0]):
+            raise FormatError(f"{name}: row 0 numbers the columns, as a header does: {_NO_HEADER}")
+        grid = to_occupancy(numbers, name)
+    elif len(lines) > 1 and _is_row_of_table(lines[1]):
+        raise FormatError(
+            f"{name}: row 0 is no row of numbers, but {lines[0][:40]!r}: {_NO_HEADER}"
+        )
+    elif lines[0].lstrip()[:1] in ("[", "("):
+        raise FormatError(
+            f"{name}: looks like lists of Python or JSON: np.savetxt(path, values, fmt='%d') "
+            "writes a table"
+        )
     else:
+        lines = _without_separators(lines)
         letters = _letters(name, lines)
-        seed_points = _start_and_goal(name, letters)
+        start, goals = _start_and_goals(name, letters)
+        seed_points = np.concatenate((start, goals))
+        rooms_known = min(len(start), len(goals)) > 0
         grid = _grid_of_letters(name, letters, occupied, free)
     if invert:
         grid = 1 - grid
         grid[tuple(seed_points.T)] = 0
-    return ForeignMap(name, grid, split, seed_points=seed_points, rooms_known=len(seed_points) == 2)
+    return ForeignMap(name, grid, split, seed_points=seed_points, rooms_known=rooms_known)
+
+
+def _without_comments(lines: list[str]) -> list[str]:
+    """Return the lines of a map without the comments before a table, as `numpy.savetxt` writes."""
+    for number, line in enumerate(lines):
+        if _is_row_of_table(line):
+            return lines[number:]
+        if not line.startswith(_COMMENT):
+            break
+    return lines
+
+
+def _without_separators(lines: list[str]) -> list[str]:
+    """Return the rows of a maze without what is between the letters of all rows, if anything is.
+
+    A space may be a free cell. So spaces are separators only if no cell is a space, and if other
+    letters of free cells are there.
+    """
+    separator = lines[0][1:2]
+    if not separator or separator not in _SEPARATORS:
+        return lines
+    stripped = [line.rstrip(_SEPARATORS) for line in lines]
+    cells = [line[::2] for line in stripped]
+    between = set().union(*(line[1::2] for line in stripped))
+    letters = set().union(*cells)
+    is_plain = separator == " " and letters.isdisjoint(FREE.replace(" ", "") + _START + _GOAL)
+    if between != {separator} or " " in letters or is_plain:
+        return lines
+    return cells
+
+
+def _counts_columns(numbers: Array) -> bool:
+    """Return whether a row of numbers, (W,), is 0, 1, 2, ... or 1, 2, 3, ..."""
+    return bool((np.diff(numbers) == 1).all() and numbers[0] in (0, 1))
+
+
+def _drawn_cells(name: str, lines: list[str]) -> list[str] | None:
+    """Return the rows of a drawing of a maze with one letter for each post, wall and square.
+
+    Args:
+        name: of the map, for errors.
+        lines: of the file; spaces at the end of a line may be missing.
+
+    Returns:
+        2 R + 1 rows of 2 C + 1 letters for R x C squares: "#" for posts and walls, and the letter
+        in each square, which is a space if there is none; None if this is no drawing.
+
+    Raises:
+        FormatError: posts or walls that are not in line.
+    """
+    first_row = lines[0].rstrip()
+    if not _POSTS.fullmatch(first_row) or len(lines) < 2 or not _SQUARES.fullmatch(lines[1]):
+        return None
+    post = first_row[0]
+    pitch = first_row.index(post, 1)
+    width = len(first_row)
+    rows = []
+    for row, line in enumerate(lines):
+        padded = line.rstrip().ljust(width)
+        posts = padded[::pitch]
+        between = [padded[left + 1 : left + pitch] for left in range(0, width - 1, pitch)]
+        is_wall_row = row % 2 == 0
+        if is_wall_row:
+            letters = ["#" if text == "-" * len(text) else text.strip() for text in between]
+        else:
+            letters = [text.strip() for text in between]
+        is_in_line = (
+            len(padded) == width
+            and width % pitch == 1
+            and set(posts) <= ({post, " "} if is_wall_row else {"|", " "})
+            and all(len(letter) <= 1 for letter in letters)
+            and not (is_wall_row and set(letters) - {"#", ""})
+        )
+        if not is_in_line:
+            raise FormatError(
+                f"{name}: row {row} of the drawing does not fit: expected posts {post!r} at every "
+                f"{pitch}th letter of the even rows, with walls of - and | between them, and at "
+                "most one letter in a square"
+            )
+        cells = ["#" if corner != " " else " " for corner in posts]
+        rows.append(
+            "".join(
+                corner + (letter or " ")
+                for corner, letter in zip(cells, [*letters, ""], strict=True)
+            )[:-1]
+        )
+    if len(rows) % 2 == 0:
+        raise FormatError(f"{name}: the drawing has {len(rows)} rows, expected an odd number")
+    return rows
 
 
 def _fields(line: str, max_count: int = -1) -> list[str]:
@@ -239,17 +378,16 @@ def _letters(name: str, lines: list[str]) -> Array:
     return np.array(lines).view("U1").reshape(len(lines), columns)
 
 
-def _start_and_goal(name: str, letters: Array) -> Ints:
-    """Return start and goal of a maze, (2, 2), or as many of them as it has.
+def _start_and_goals(name: str, letters: Array) -> tuple[Ints, Ints]:
+    """Return the start of a maze, (1, 2) or (0, 2), and its goals, (n, 2).
 
     Raises:
-        FormatError: several starts or goals.
+        FormatError: several starts.
     """
-    cells = [np.argwhere(letters == letter) for letter in (_START, _GOAL)]
-    for letter, found in zip((_START, _GOAL), cells, strict=True):
-        if len(found) > 1:
-            raise FormatError(f"{name}: has {len(found)} letters {letter}, expected at most one")
-    return np.concatenate(cells)
+    start, goals = (np.argwhere(letters == letter) for letter in (_START, _GOAL))
+    if len(start) > 1:
+        raise FormatError(f"{name}: has {len(start)} letters {_START}, expected at most one")
+    return start, goals
 
 
 def _grid_of_letters(name: str, letters: Array, occupied: str, free: str) -> Bytes:

@@ -219,6 +219,34 @@ def test_a_folder_of_links_says_why_it_holds_nothing(
     assert reason == f"no such file (a link to {tmp_path / 'real' / 'a.png'})"
 
 
+def test_no_folder_is_read_twice_through_links(tmp_path: Path) -> None:
+    """A link leads to a folder that holds the folder of the link."""
+    source = tmp_path / "all" / "source"
+    (source / "in").mkdir(parents=True)
+    for folder in (source, source / "in", source.parent):
+        images(folder, tmp_path)
+    (source / "up").symlink_to(source.parent)
+    names = [foreign_map.name for foreign_map in read_any(source, follow_links=True).maps]
+    assert len({Path(name).resolve() for name in names}) == len(names) == 6
+
+
+def test_a_file_that_is_elsewhere_says_what_fetches_it(tmp_path: Path) -> None:
+    """A link of git-annex without its content, and pointers of DVC instead of files."""
+    path = tmp_path / "a.png"
+    path.symlink_to("../.git/annex/objects/x/y/MD5--z.png")
+    for source in (path, tmp_path):
+        with pytest.raises(
+            FormatError, match=r"no such file.* \(a link to .*git annex get fetches"
+        ):
+            read_any(source, follow_links=True)
+    path.unlink()
+    (tmp_path / "a.png.dvc").write_text("outs:\n- md5: 00\n  path: a.png\n")
+    (tmp_path / "dvc.yaml").write_text("stages: {}\n")
+    for source in (tmp_path / "a.png.dvc", tmp_path):
+        with pytest.raises(FormatError, match="pointers of DVC to other files: dvc pull fetches"):
+            read_any(source)
+
+
 def test_a_name_with_dots_is_no_link(tmp_path: Path) -> None:
     """A yaml that names a picture outside its folder is refused even where links are followed."""
     (tmp_path / "in").mkdir()

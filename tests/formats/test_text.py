@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -67,16 +66,18 @@ def test_a_maze_has_start_and_goal(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 def test_letters_can_be_named(tmp_path: Path) -> None:
-    """A micromouse maze has posts and walls of other letters, which the error names."""
+    """The error names the letters that are not known; posts and walls of a drawing may be named."""
     path = tmp_path / "mouse.txt"
-    path.write_text("o---o---o\n|G  |   |\no   o   o\n|      S|\no---o---o\n")
-    with pytest.raises(FormatError, match=r"mouse.txt has the ending of text: --format text says"):
-        read_any(path)
-    with pytest.raises(
-        FormatError,
-        match=r"cell \(0, 0\) is 'o', expected occupied '#@' or free '. SG'; --text.occupied and",
+    path.write_text("xxx\nxSx\nxGx\n")
+    refused = r"cell \(0, 0\) is 'x', expected occupied '#@' or free '. SG'; --text.occupied and"
+    for format_name, start in (
+        (None, "known format; --format text refuses mouse.txt: "),
+        ("text", ""),
     ):
-        read_any(path, "text")
+        with pytest.raises(FormatError, match=start + refused):
+            read_any(path, format_name)
+    assert read_any(path, "text", occupied="x").maps[0].grid.sum() == 7
+    path.write_text("o---o---o\n|G  |   |\no   o   o\n|      S|\no---o---o\n")
     (foreign_map,) = read_any(path, "text", occupied="o-|").maps
     assert foreign_map.grid.sum() == 2 * 9 + 3 * 2 + 2  # two rows, the outer walls, one wall
     assert foreign_map.seed_points.tolist() == [[3, 7], [1, 1]]
@@ -85,6 +86,93 @@ def test_letters_can_be_named(tmp_path: Path) -> None:
     for options in ({"occupied": ""}, {"free": "#"}, {"occupied": "#S"}):
         with pytest.raises(ValueError, match="occupied, free: got"):
             read(path, **options)  # type: ignore[arg-type]
+
+
+def drawing(walls: Bytes, post: str, width: int) -> str:
+    """Return a maze as micromouse contests draw it.
+
+    Args:
+        walls: (2 R + 1, 2 C + 1), 1 where a post or wall is.
+        post: letter of a post.
+        width: letters of a square.
+    """
+    lines = []
+    for row, cells in enumerate(walls.tolist()):
+        line = ""
+        for column, cell in enumerate(cells):
+            letters = "|" if column % 2 == 0 else " " * width
+            if row % 2 == 0:
+                letters = post if column % 2 == 0 else "-" * width
+            line += letters if cell else " " * len(letters)
+        lines.append(line.rstrip())  # as editors do
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize(("post", "width"), [("o", 3), ("+", 2), ("+", 1), ("o", 4)])
+def test_drawings_of_mazes_are_read(post: str, width: int, tmp_path: Path) -> None:
+    """Each post, wall and square is one cell, however wide it is drawn; S and G lie in squares."""
+    random = np.random.default_rng(width)
+    walls = random.integers(0, 2, (9, 13)).astype(np.uint8)
+    walls[::2, ::2] = 1  # posts
+    walls[1::2, 1::2] = 0  # squares
+    walls[0] = walls[-1] = 1
+    walls[1, 0] = 1
+    lines = [line.ljust(6 * (width + 1) + 1) for line in drawing(walls, post, width).splitlines()]
+    middle = 1 + (width - 1) // 2
+    for row, square, letter in ((7, 0, "S"), (3, 2, "G"), (3, 3, "G")):
+        column = square * (width + 1) + middle
+        lines[row] = lines[row][:column] + letter + lines[row][column + 1 :]
+    path = tmp_path / "mouse.txt"
+    path.write_text("\n".join(line.rstrip() for line in lines) + "\n")
+    collection = read_any(path)
+    (foreign_map,) = collection.maps
+    assert np.array_equal(foreign_map.grid, walls)
+    assert foreign_map.seed_points.tolist() == [[7, 1], [3, 5], [3, 7]]
+    assert foreign_map.rooms_known
+    assert "1 of 1 maps are drawings of mazes" in collection.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("+--+--+\n|  |  |\n+--+--+\n|  |  |\n", "the drawing has 4 rows, expected an odd number"),
+        (
+            "+--+--+\n|  |  |\n+--+-+\n",
+            "row 2 of the drawing does not fit: expected posts '+' at e",
+        ),
+        ("+--+-+\n|  | |\n+--+-+\n", "row 0 of the drawing does not fit"),
+        ("+--+\n|  |\n+- +\n", "row 2 of the drawing does not fit"),
+        ("+--+\n|SG|\n+--+\n", "row 1 of the drawing does not fit"),
+        ("+--+--+\n|     |\n+--+--+--+\n", "row 2 of the drawing does not fit"),
+    ],
+)
+def test_drawings_that_are_not_in_line_are_refused(text: str, reason: str, tmp_path: Path) -> None:
+    """A row would be read wrongly otherwise."""
+    (tmp_path / "a.txt").write_text(text)
+    ((_, said),) = read(tmp_path).left_out
+    assert said.startswith(reason)
+
+
+@pytest.mark.parametrize("separator", [" ", "\t", ",", ";"])
+def test_letters_may_have_separators(separator: str, tmp_path: Path) -> None:
+    """Spaces between walls are no free cells if other letters are."""
+    rows = ["#####", "#S.G#", "#####"]
+    (tmp_path / "a.txt").write_text("".join(separator.join(row) + "\n" for row in rows))
+    (foreign_map,) = read_any(tmp_path).maps
+    assert foreign_map.grid.tolist() == [[1] * 5, [1, 0, 0, 0, 1], [1] * 5]
+    assert foreign_map.seed_points.tolist() == [[1, 1], [1, 3]]
+
+
+def test_spaces_are_cells_where_no_other_letter_is_free(tmp_path: Path) -> None:
+    """Two walls with a corridor are no wall of two cells."""
+    (tmp_path / "a.txt").write_text("# #\n# #\n")
+    assert read_any(tmp_path).maps[0].grid.tolist() == [[1, 0, 1]] * 2
+
+
+def test_a_header_of_numpy_is_skipped(tmp_path: Path) -> None:
+    """`numpy.loadtxt` skips these lines, too."""
+    np.savetxt(tmp_path / "a.txt", GRID, fmt="%d", header="my map\n3 x 4")
+    assert np.array_equal(read_any(tmp_path).maps[0].grid, GRID)
 
 
 def test_a_file_may_hold_several_maps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -114,6 +202,23 @@ def test_a_file_may_hold_several_maps(tmp_path: Path, capsys: pytest.CaptureFixt
         ("0,1\n1,\n1,,\n", "row 1 has 1 numbers, expected 2"),
         (",0,1\n0,1,1\n", "row 0 is no row of numbers, without header and index (ValueError"),
         ("-1 0\n0 100\n", "from -1.0 to 100.0, expected 0 to 1; it looks like an OccupancyGrid"),
+        (
+            "0,1,2\n0,1,1\n",
+            "row 0 numbers the columns, as a header does: a table has neither",
+        ),
+        ("a,b\n0,1\n", "row 0 is no row of numbers, but 'a,b': a table has neither h"),
+        (
+            "[0]\n[1]\n",
+            "looks like lists of Python or JSON: np.savetxt(path, values, fmt=",
+        ),
+        (
+            "version https://git-lfs.github.com/spec/v1\n",
+            "not a text file; it looks like a pointer of",
+        ),
+        (
+            "<!DOCTYPE html>\n<html>\n",
+            "not a text file; it looks like a web page: download the file",
+        ),
         ("0.5 0.1\n0 1\n", "holds values between 0 and 1, expected only 0 and 1; it looks like p"),
         ("1 nan\n0 1\n", "holds values from nan to nan, expected 0 to 1; it looks like cells with"),
         ("##\n#\n", "row 1 has 1 letters, expected 2 as in row 0 (many editors remove spaces"),
@@ -153,7 +258,10 @@ def test_other_texts_beside_pictures_are_not_maps(name: str, text: str, tmp_path
     Image.fromarray(255 * (1 - GRID)).save(tmp_path / "plan.png")
     (tmp_path / name).write_text(text, encoding="latin-1")
     assert recognise(tmp_path) == "images"
-    with pytest.raises(FormatError, match=re.escape(f"; {name} has the ending of text")):
+    advice = (
+        rf"; (--format text refuses {name}: \w.*|{name} has the ending of text: --format text )"
+    )
+    with pytest.raises(FormatError, match=advice):
         read_any(tmp_path / name)
 
 
