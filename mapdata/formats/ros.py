@@ -32,6 +32,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
@@ -49,6 +50,7 @@ from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
     Limits,
+    check_file,
     checked_inside,
     files_with_endings,
     maps_to_write,
@@ -81,6 +83,12 @@ MAX_YAML_BYTES = 2**16
 
 MAX_YAML_DEPTH = 16
 """Maximal nesting of lists and mappings; in the .yaml of a map it is 2."""
+
+_MAP_FIELDS = re.compile(rb"""\b(image|free_thresh|occupied_thresh)['"]?\s*:""")
+"""What tells the .yaml of a map from other files with this ending, such as parameters of nodes."""
+
+_MESSAGE = re.compile(rb"""^["']?data["']?\s*:\s*(\[|-\s)\s*-?[0-9]+\s*[],\n]""", re.MULTILINE)
+"""What tells a message, as ``ros2 topic echo`` prints it: a list of integers named data."""
 
 _OPENING_TOKENS = (
     yaml.BlockMappingStartToken,
@@ -216,6 +224,13 @@ def read_map(path: StrPath, limits: Limits = LIMITS) -> RosMap:
     return ros_map
 
 
+def is_ros_map(path: Path) -> bool:
+    """Return whether a .yaml file is that of a map, or a printed message that holds one."""
+    with path.open("rb") as file:
+        start = file.read(MAX_YAML_BYTES)
+    return bool(_MAP_FIELDS.search(start) or _MESSAGE.search(start))
+
+
 def _read_map(path: Path, limits: Limits) -> tuple[RosMap, str]:
     """Return the map of a .yaml file, and what is overruled in it.
 
@@ -317,6 +332,15 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     Raises:
         FormatError: not YAML, or a required field is missing.
     """
+    with refusing(f"{path}: cannot be read"):
+        check_file(path, LIMITS)
+        with path.open("rb") as file:
+            start = file.read(MAX_YAML_BYTES)
+    if _MESSAGE.search(start) and not _MAP_FIELDS.search(start):
+        raise FormatError(
+            f"{path}: is a message, such as an OccupancyGrid, and not the YAML of a map: save the "
+            "topic with map_saver, or see 'Messages' in docs/formats/ros.md"
+        )
     text = read_text(path, Limits(unpacked=MAX_YAML_BYTES))
     with refusing(f"{path}: not plain YAML"):
         _check_tokens(path, text)
@@ -645,6 +669,8 @@ def read(
     advice = "shrink less" if resample == "mean" else "shrink less, or use --ros.resample mean"
     for path in files_with_endings(source, ENDINGS, limits, collection):
         with collection.leaving_out(path):
+            if source.is_dir() and path.is_file() and not is_ros_map(path):
+                continue  # parameters of a node, landmarks, ...
             split = split_from_folders(path, source)
             if costmap is not None:
                 foreign_map, unknown_share = _read_costmap(
@@ -779,4 +805,4 @@ def write(
     ]
 
 
-FORMAT = Format("ros", ENDINGS, read, write, companion_endings=PICTURES)
+FORMAT = Format("ros", ENDINGS, read, write, recognises=is_ros_map, companion_endings=PICTURES)

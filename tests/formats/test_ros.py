@@ -19,7 +19,7 @@ from PIL import Image
 from scipy import ndimage
 
 from mapdata import read_shard, to_metres
-from mapdata.formats import FormatError, Limits, export, read_any
+from mapdata.formats import FormatError, Limits, export, read_any, recognise
 from mapdata.formats.images import Pixels, read_pixels
 from mapdata.formats.ros import RosMap, _classify, read, read_map, resampled
 from mapdata.shards import read_manifest
@@ -503,6 +503,44 @@ def test_a_missing_field_is_named(missing: str, tmp_path: Path) -> None:
     )
     with pytest.raises(FormatError, match=f"has no field '{missing}'"):
         read_map(path)
+
+
+def test_other_yaml_beside_a_map_is_no_matter(tmp_path: Path) -> None:
+    """Parameters of nodes are skipped; a file with a part of what a map needs is left out."""
+    write(tmp_path)
+    (tmp_path / "params.yaml").write_text("amcl:\n  ros__parameters: {image_width: 3, data: x}\n")
+    (tmp_path / "half.yml").write_text("image: map.pgm\n")
+    assert recognise(tmp_path) == "ros"
+    collection = read_any(tmp_path, unknown="occupied")
+    assert len(collection.maps) == 1
+    ((name, reason),) = collection.left_out
+    assert (name, reason) == (
+        str(tmp_path / "half.yml"),
+        "has no field 'resolution', expected the YAML of a ROS map",
+    )
+    with pytest.raises(
+        FormatError, match=r"--format ros refuses params.yaml: has no field 'image'"
+    ):
+        read_any(tmp_path / "params.yaml")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "info:\n  width: 4\ndata:\n- -1\n- 100\n- 0\n- 0\n---\n",
+        "data: [-1, 100, 0, 0]\ninfo: {height: 2, width: 2}\n",
+        "data: [" + "-1, 100, " * 9000 + "0]\ninfo: {height: 1, width: 18001}\n",  # a long file
+    ],
+)
+def test_a_printed_message_is_named(text: str, tmp_path: Path) -> None:
+    """An OccupancyGrid as ROS prints it; the page of the format tells how to read it."""
+    path = tmp_path / "map.yaml"
+    path.write_text(text)
+    for source in (path, tmp_path):
+        with pytest.raises(
+            FormatError, match=r"is a message, such as an OccupancyGrid, .* map_saver"
+        ):
+            read_any(source)
 
 
 def test_yaml_that_is_no_map_is_refused_at_once(tmp_path: Path) -> None:
