@@ -302,7 +302,6 @@ def _drawn_cells(name: str, lines: list[str]) -> list[str] | None:
             letters = [text.strip() for text in between]
         is_in_line = (
             len(padded) == width
-            and width % pitch == 1
             and set(posts) <= ({post, " "} if is_wall_row else {"|", " "})
             and all(len(letter) <= 1 for letter in letters)
             and not (is_wall_row and set(letters) - {"#", ""})

@@ -565,6 +565,19 @@ def test_the_paper_around_a_plan_can_be_closed(
     assert not any("border" in note for note in same.notes)
 
 
+def test_paper_on_both_sides_of_a_plan_is_closed(tmp_path: Path) -> None:
+    """A plan that reaches from edge to edge divides the paper; a diagonal gap lets nothing in."""
+    plan = np.zeros((7, 6), np.uint8)
+    plan[[1, 5]] = plan[:, [0, -1]] = 1
+    plan[[0, -1], 0] = 0
+    plan[1, 0] = 0
+    np.save(tmp_path / "a.npy", plan)
+    (foreign_map,) = read(tmp_path, outside="occupied").maps
+    expected = np.ones_like(plan)
+    expected[2:5, 1:-1] = 0
+    assert np.array_equal(foreign_map.grid, expected)
+
+
 def test_a_plan_with_an_open_door_is_no_silent_ruin(tmp_path: Path) -> None:
     """Nothing is left inside, or a small room alone: an error or a note says why."""
     plan = PLAN.copy()
