@@ -247,7 +247,7 @@ class Npz:
         if not path.is_file():
             raise FormatError(f"{path}: no such file")
         with refusing(f"{path}: not a sound .npz file"), open(path, "rb") as file:
-            _check_start(path, file, b"PK", "an .npz")
+            _check_start(path, file, b"PK", ".npz")
         with refusing(f"{path}: not a sound .npz file"), _opened_archive(path) as archive:
             members = [member for member in archive.infolist() if member.filename[-4:] == ".npy"]
             if not 1 <= len(members) <= _MAX_MEMBERS:
@@ -350,7 +350,7 @@ def _check_start(path: Path, file: IO[bytes], first_bytes: bytes, kind: str) -> 
         path: of the file.
         file: opened at its start, where it is afterwards too.
         first_bytes: those of a file of the kind.
-        kind: for the message, with the article.
+        kind: its ending, for the message.
 
     Raises:
         FormatError: it is of another kind that `hint_on_content` knows.
@@ -359,7 +359,7 @@ def _check_start(path: Path, file: IO[bytes], first_bytes: bytes, kind: str) -> 
     file.seek(0)
     hint = "" if start.startswith(first_bytes) else hint_on_content(start)
     if hint:
-        raise FormatError(f"{path}: not {kind} file{hint}")
+        raise FormatError(f"{path}: not a sound {kind} file{hint}")
 
 
 def open_npy(path: Path) -> StoredArray:
@@ -371,7 +371,7 @@ def open_npy(path: Path) -> StoredArray:
     if not path.is_file():
         raise FormatError(f"{path}: no such file")
     with refusing(f"{path}: not a sound .npy file"), open(path, "rb") as file:
-        _check_start(path, file, b"\x93NUMPY", "an .npy")
+        _check_start(path, file, b"\x93NUMPY", ".npy")
         header = _read_header(file)
         size = file.seek(0, io.SEEK_END)
     return _checked_array(header, label=str(path), size=size, path=path)
