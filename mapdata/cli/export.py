@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -118,19 +119,25 @@ def problems_of_flags(problems: str | None, bands: dict[str, str | None]) -> Ran
     """Return the problems that the flags ask for; None if they say nothing.
 
     Raises:
-        ValueError: a band that is not MIN:MAX, or beside problems that are not random.
+        ValueError: a band that is not MIN:MAX, or beside problems that are not random or have a
+            band of this name.
     """
     from mapdata.problems import Random
+    from mapdata.problems.sources import problem_source
 
     limits: dict[str, Any] = {
         name: band_of(f"--{name}", text) for name, text in bands.items() if text is not None
     }
     if not limits:
         return problems
-    if problems not in (None, "random"):
-        flags = ", ".join(f"--{name}" for name in limits)
-        raise ValueError(f"{flags}: only for --problems random, got --problems {problems}")
-    return Random(**limits)
+    source = problem_source("random" if problems is None else problems)
+    flags = ", ".join(f"--{name}" for name in limits)
+    if not isinstance(source, Random):
+        raise ValueError(f"{flags}: only for random problems, got --problems {problems}")
+    for name in limits:
+        if getattr(source, name) is not None:
+            raise ValueError(f"--{name}: --problems has a band of this name, too; give one of them")
+    return replace(source, **limits)
 
 
 def band_of(flag: str, text: str) -> tuple[float | None, float | None]:
@@ -139,14 +146,19 @@ def band_of(flag: str, text: str) -> tuple[float | None, float | None]:
     Raises:
         ValueError: the text is something else.
     """
+    from mapdata.problems.sources import check_band
+
     sides = text.split(":")
     try:
         if len(sides) == 2:
             smallest, largest = (float(side) if side else None for side in sides)
+            check_band(flag, (smallest, largest))
             return smallest, largest
     except ValueError:
         pass
-    raise ValueError(f"{flag}: got {text!r}, expected MIN:MAX, such as 110:, 5:20 or :30")
+    raise ValueError(
+        f"{flag}: got {text!r}, expected MIN:MAX with MIN at most MAX, such as 110:, 5:20 or :30"
+    )
 
 
 def _refuse_problem_flags(name: str, arguments: dict[str, Any]) -> None:

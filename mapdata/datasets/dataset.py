@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import Dataset, default_collate
+from torch.utils.data import Dataset, default_collate, get_worker_info
 
 from mapdata.arrays import Bytes, Ints, offsets_of
 from mapdata.checks import check_choice, check_flag
@@ -55,20 +56,22 @@ from mapdata.movement import Movement
 from mapdata.problems.nearest import nearest_text, nothing_seen, see_values
 from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import (
+    MAX_CELL_COST,
     Band,
     Random,
     Route,
     Source,
     SourceLike,
     check_band,
+    check_possible,
     plain_text,
     problem_source,
 )
-from mapdata.problems.substitutes import draw_substitutes, most_maps
+from mapdata.problems.substitutes import RARE_SHARE, draw_substitutes, most_maps, say_rare
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
 from mapdata.search.api import check_cost
 from mapdata.search.footprint import inflate_all, without_occupied
-from mapdata.search.lattice import move_rule
+from mapdata.search.lattice import MAX_PATH_COST, move_rule
 from mapdata.shards.locations import Locations, locations
 from mapdata.shards.workers import Advance, no_bar
 
@@ -84,6 +87,9 @@ CELLS_AT_ONCE = 2**20
 
 More of them would keep a progress bar waiting where problems are rare.
 """
+
+_process = {"said_rare": False}
+"""Whether this process has said that problems are rare."""
 
 FILTER_BATCH = 4096
 """Number of problems that `MapDataset.filter` examines at once, which limits its memory."""
@@ -455,6 +461,17 @@ class SampledProblemDataset(ProblemDataset):
     report_tried: Advance = staticmethod(no_bar)
     """Called with the number of maps on which problems were sought just now, for a progress bar."""
 
+    def _check_on_maps(self) -> None:
+        """Refuse fields and problems that do not exist on these maps.
+
+        Raises:
+            ValueError: as `_check_fields_on_terrain` and `check_possible`.
+        """
+        self._check_fields_on_terrain()
+        check_possible(
+            self.serving.problems, self.map_size, self.movement, has_terrain=self.has_terrain
+        )
+
     @abstractmethod
     def _stored_maps(self, map_numbers: Ints) -> StoredMaps:
         """Return maps by their numbers in the split, before inflation."""
@@ -552,6 +569,7 @@ class SampledProblemDataset(ProblemDataset):
             sampled = self._sample(tried_maps, keys, epoch)
             self.report_tried(len(tried_maps))
             tried[rows] += ahead
+            self._say_rare(tried, len(missing), most)
             places = np.flatnonzero(sampled.ends[:, 0] >= 0)
             failed_in_a_row = 0 if len(places) else failed_in_a_row + len(tried_maps)
             found_rows, first_places = np.unique(repeated_rows[places], return_index=True)
@@ -568,6 +586,30 @@ class SampledProblemDataset(ProblemDataset):
             batch.paths = problems.paths
         return batch
 
+    def _say_rare(self, tried: Ints, missing_count: int, most: int) -> None:
+        """Say once in each process that a batch takes long, if no bar shows it.
+
+        Args:
+            tried: (B,) maps that were tried for each problem of the batch.
+            missing_count: number of problems that were not found on the maps before the last ones.
+            most: number of maps that are tried for a problem before there is an error.
+        """
+        failed = int(tried.sum()) - len(tried)
+        worker = get_worker_info()
+        if (
+            failed < most // RARE_SHARE
+            or _process["said_rare"]
+            or self.report_tried is not no_bar
+            or (worker is not None and worker.id > 0)  # one worker says it for all
+        ):
+            return
+        _process["said_rare"] = True
+        say_rare(
+            f"{plain_text(self.serving.problems)}: {failed:,} maps without such a problem, and "
+            f"{missing_count:,} of {len(tried):,} problems of a batch still to find; wider "
+            "conditions are faster"
+        )
+
     @property
     def _maps_at_once(self) -> int:
         """The number of maps that problems are sampled on at once."""
@@ -578,14 +620,15 @@ class SampledProblemDataset(ProblemDataset):
         """Return how many substitutes of each problem are tried at once.
 
         They are at most an eighth of those that have failed, so that little work is done in vain.
-        On terrain it is one: a cost that is too high raises an error, which a map must not raise
-        that comes after the one that is served.
+        On large maps with terrain it is one: a cost may be too high, which raises an error, and a
+        map must not raise it that comes after the one that is served.
 
         Args:
             tried: (B,) maps that were tried for each problem.
             most: number of maps that are tried before there is an error.
         """
-        if self.has_terrain:
+        rows, columns = self.map_size
+        if self.has_terrain and rows * columns * MAX_CELL_COST * math.sqrt(2) > MAX_PATH_COST / 2:
             return 1
         ahead = min(tried.min() // 8, self._maps_at_once // len(tried), most - tried.max())
         return max(int(ahead), 1)
@@ -755,7 +798,8 @@ class MapDataset(SampledProblemDataset):
         ShardError: a damaged or hostile file, found at its first touch, or at once where opening
             the dataset opens all shards.
         ValueError: arguments that do not fit, or that would do nothing; a dataset of which no
-            shard is finished; a radius with which no problem has a path.
+            shard is finished; a radius with which no problem has a path; conditions that no random
+            problem on such maps can meet.
     """
 
     _opened = ("reader", "_selected")
@@ -802,7 +846,7 @@ class MapDataset(SampledProblemDataset):
         self.map_size = reader.map_size
         self.has_terrain = reader.has_terrain
         self._min_clearance = reader.min_clearance
-        self._check_fields_on_terrain()
+        self._check_on_maps()
         if radius and len(self) == 0 and len(self.reader) > 0:
             rows, columns = self.map_size
             raise ValueError(

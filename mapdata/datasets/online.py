@@ -38,6 +38,9 @@ from mapdata.search.api import SEARCHES, check_cost
 from mapdata.search.footprint import min_squared_clearance, without_occupied
 from mapdata.search.lattice import move_rule
 
+MAX_LENGTH = 10**12
+"""Problems of a dataset, so that 64 bits hold the numbers of all maps that may replace theirs."""
+
 
 class OnlineMapDataset(SampledProblemDataset):
     """Maps that are generated and solved on the fly: one problem a map, without a disk.
@@ -102,11 +105,15 @@ class OnlineMapDataset(SampledProblemDataset):
         self.seed = recipe.seed
         default_length = recipe.maps * serving.problems.per_map
         self.length = default_length if length is None else check_count("length", length)
+        if self.length > MAX_LENGTH:
+            raise ValueError(
+                f"length: got {self.length:,} problems, expected at most {MAX_LENGTH:,}"
+            )
         self.movement = serving.movement or self.generator.movement
         self.map_size = self.generator.map_size
         self.has_terrain = self.generator.has_terrain
         self._min_clearance = min_squared_clearance(radius, self.generator.resolution)
-        self._check_fields_on_terrain()
+        self._check_on_maps()
         self._open()
 
     def _open(self) -> None:

@@ -12,6 +12,11 @@ from mapdata.arrays import Ints
 _process = {"warned": False}
 """Whether this process has warned. One warning says it all, however many datasets there are."""
 
+MAX_WATCHED = 2**30
+"""A dataset with more problems is not watched: nobody passes over it twice, and the watch takes a
+byte for each.
+"""
+
 
 class RepeatWatch:
     """Finds out whether a second, shuffled pass over a dataset repeats the draws of the first one.
@@ -36,7 +41,7 @@ class RepeatWatch:
             problems: (B,) the numbers of the problems, B at least 1.
             length: the number of all problems.
         """
-        if get_worker_info() is not None:
+        if get_worker_info() is not None or length > MAX_WATCHED:
             return False
         if not self._first_pass_is_over:
             if self._is_seen is None:

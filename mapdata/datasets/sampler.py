@@ -64,6 +64,10 @@ class LateLoader(DataLoader[Sample]):
             self.sampler.load_state_dict(state)
 
 
+MAX_SHUFFLED = 2**32
+"""Samples of an order, whose numbers have 32 bits."""
+
+
 class EpochSampler(DistributedSampler[Any]):
     """Yields ``index + epoch * len(dataset)``: each rank its share, from the Trainer's position on.
 
@@ -93,6 +97,9 @@ class EpochSampler(DistributedSampler[Any]):
             sampling_seed: seed of the permutations; None keeps the order of the dataset.
             module: its Trainer knows epoch, rank and position.
             drop_last: whether the loader leaves out a last batch that is not full.
+
+        Raises:
+            ValueError: more samples than an order can hold.
         """
         super().__init__(
             dataset,
@@ -101,6 +108,12 @@ class EpochSampler(DistributedSampler[Any]):
             shuffle=sampling_seed is not None,
             drop_last=drop_last,
         )
+        sample_count = len(dataset)  # type: ignore[arg-type]
+        if sampling_seed is not None and sample_count > MAX_SHUFFLED:
+            raise ValueError(
+                f"dataset: got {sample_count:,} problems, expected at most {MAX_SHUFFLED:,} to "
+                "shuffle; take a smaller length or per_map, since each epoch has new problems"
+            )
         if isinstance(dataset, ProblemDataset):
             dataset.expect_epochs()
         self.batch_size = batch_size

@@ -40,6 +40,7 @@ from mapdata.problems.problem_set import ProblemSet
 from mapdata.problems.sources import Random, Source, SourceLike, plain_text, problem_source
 from mapdata.shards.files import StrPath, new_output
 from mapdata.shards.locations import Locations, local_path
+from mapdata.shards.manifest import MANIFEST
 from mapdata.shards.root import Root
 from mapdata.shards.workers import bar
 
@@ -210,6 +211,7 @@ def export_problems(
         which = problem_set.description
     return [
         f"problems: {which}",
+        *_source_notes(source),
         *_count_notes(parts),
         *_map_notes(parts, map_indices),
         *_target_notes(options.fields, statistics),
@@ -652,6 +654,18 @@ def _write(
     map_hashes = {split: np.concatenate(hashes) for split, hashes in hashes_of_batches.items()}
     map_indices = {split: np.concatenate(numbers) for split, numbers in indices_of_batches.items()}
     return map_hashes, map_indices
+
+
+def _source_notes(source: Any) -> list[str]:
+    """Return a note on a source that names both a preset and a dataset in the working folder."""
+    if not isinstance(source, str) or source not in PRESETS:
+        return []
+    if not (Path(source) / MANIFEST).exists():
+        return []
+    return [
+        f"source: {source} is the preset; ./{source} is the dataset in the folder of this name, "
+        "which was not read"
+    ]
 
 
 def _count_notes(parts: Sequence[_Part]) -> list[str]:

@@ -20,13 +20,21 @@ from mapdata.generators.generator import identity
 from mapdata.generators.maps import Maps
 from mapdata.generators.recipe import RecipeLike, as_recipe, generate
 from mapdata.hashing import canonical_json
-from mapdata.limits import SPLITS
+from mapdata.limits import SPLITS, Size
 from mapdata.movement import Movement
 from mapdata.problems.nearest import nearest_text, nothing_seen, see_values
 from mapdata.problems.sampling import sample_problems, solve_pairs
 from mapdata.problems.set_file import StoredSet, different_maps, hash_fault, read_set, write_set
-from mapdata.problems.sources import Random, Route, Source, SourceLike, problem_source
-from mapdata.problems.substitutes import most_maps
+from mapdata.problems.sources import (
+    Random,
+    Route,
+    Source,
+    SourceLike,
+    check_possible,
+    plain_text,
+    problem_source,
+)
+from mapdata.problems.substitutes import RARE_SHARE, most_maps, say_rare
 from mapdata.problems.terrain_sampling import solve_terrain_pairs
 from mapdata.search.api import (
     BatchResult,
@@ -474,9 +482,10 @@ class ProblemSet:
             progress: show a progress bar of the maps that were tried.
 
         Raises:
-            ValueError: no recipe; no map with a problem, or none among the first maps, after about
-                10 s of search; fewer hard problems than ``until_hard``; problems without a path
-                (``unsolvable=True``); terrain with costs that are too high to be exact.
+            ValueError: no recipe; conditions that no problem on such maps can meet; no map with a
+                problem, or none among the first maps, after about 10 s of search; fewer hard
+                problems than ``until_hard``; problems without a path (``unsolvable=True``); terrain
+                with costs that are too high to be exact.
 
         >>> from mapdata import Movement
         >>> len(ProblemSet.sample("dungeon", seed=77, maps=20, movement=Movement(8)))
@@ -508,9 +517,11 @@ class ProblemSet:
             min_clearance=min_squared_clearance(radius, recipe.generator.resolution),
             source=f"the maps with identity {identity(recipe.generator, recipe.seed)[:12]}",
             map_count=recipe.maps,
+            map_size=recipe.generator.map_size,
+            has_terrain=recipe.generator.has_terrain,
             # All maps of a recipe are alike: where the first ones have no problem, all may have
             # none.
-            most=most_maps(source, recipe.generator.map_size, _DRAWS[1] * source.per_map),
+            tries_all=False,
             progress=progress,
         )
 
@@ -584,7 +595,9 @@ class ProblemSet:
             min_clearance=min_clearance,
             source=f"split {split} of {dataset}",
             map_count=min(max_maps, map_counts[split]),
-            most=sys.maxsize,
+            map_size=dataset.map_size,
+            has_terrain=dataset.has_terrain,
+            tries_all=True,
             progress=progress,
         )
 
@@ -819,7 +832,9 @@ def _sample_until(
     min_clearance: int,
     source: str,
     map_count: int,
-    most: int,
+    map_size: Size,
+    has_terrain: bool,
+    tries_all: bool,
     progress: bool,
 ) -> ProblemSet:
     """Sample the problems of each map of the batches, until there are enough hard problems.
@@ -834,7 +849,9 @@ def _sample_until(
             `min_squared_clearance`.
         source: says where the maps come from in the description and in errors.
         map_count: number of maps.
-        most: number of maps that are tried at most before one has a problem.
+        map_size: (rows, columns) of the maps.
+        has_terrain: whether the maps have terrain.
+        tries_all: whether all maps are tried, however many of the first ones have no problem.
         progress: whether a progress bar shows how many maps were tried.
     """
     if problems.unsolvable:
@@ -844,13 +861,18 @@ def _sample_until(
         )
     if until_hard is not None:
         check_count("until_hard", until_hard)
+    check_possible(problems, map_size, movement, has_terrain=has_terrain)
+    most = most_maps(problems, map_size, _DRAWS[1] * problems.per_map)
     parts: list[_SampledProblems] = []
+    found = 0  # problems
+    has_said_rare = progress  # a bar says more
     hard_count = 0
     tried = 0  # maps
     with bar(progress, map_count, unit=" maps tried") as advance:
         for batch in _parts(batches(), problems.per_map):
             maps_in_batch = len(batch.indices) // problems.per_map
             part = _sample_on(_inflated(batch, min_clearance), problems, seed, movement)
+            found += len(part.indices)
             if until_hard is not None:
                 part, hard_in_part = _until_hard(part, until_hard - hard_count, movement)
                 hard_count += hard_in_part
@@ -858,7 +880,14 @@ def _sample_until(
                 parts.append(part)
             tried += maps_in_batch
             advance(maps_in_batch)
-            if hard_count == until_hard or (not parts and tried >= most):
+            failed = tried - found / problems.per_map  # in maps
+            if not has_said_rare and failed >= most / RARE_SHARE:
+                has_said_rare = True
+                say_rare(
+                    f"{plain_text(problems)}: {found:,} found on {tried:,} of {map_count:,} maps; "
+                    "progress=True shows a bar, and wider conditions are faster"
+                )
+            if hard_count == until_hard or (not parts and not tries_all and tried >= most):
                 break
     if not parts:
         tried_batches = _parts(_first_maps(batches(), tried), problems.per_map)
@@ -866,9 +895,12 @@ def _sample_until(
         robot = ""
         if min_clearance > 1:  # obstacles are inflated
             robot = f" for a robot with a radius of {_inflation(min_clearance):.3g} cells"
+        remedy = "wider conditions" if isinstance(problems, Random) else "other maps"
+        if robot:
+            remedy += ", or a smaller radius"
         raise ValueError(
-            f"{source}: no map has a problem that meets {problems}{robot}; {tried:,} maps were "
-            f"tried{nearest}"
+            f"{source}: no map has a problem that meets {plain_text(problems)}{robot}; {tried:,} "
+            f"maps were tried{nearest}; take {remedy}"
         )
     if until_hard is not None and hard_count < until_hard:
         raise ValueError(

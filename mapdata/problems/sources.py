@@ -17,6 +17,8 @@ from mapdata.checks import (
     known_values,
 )
 from mapdata.hashing import parsed_json
+from mapdata.limits import Size
+from mapdata.movement import Movement
 
 Band = tuple[float | None, float | None]
 """(lowest, highest), both included; None leaves a side open."""
@@ -26,6 +28,12 @@ Limits = tuple[float, float]
 
 Bands = tuple[Limits, Limits, Limits]
 """The limits of distance, hardness and length."""
+
+MAX_PER_MAP = 1_000_000
+"""Problems on a map, so that 64 bits hold the number of any problem in any epoch."""
+
+MAX_CELL_COST = 255
+"""The highest cost of a cell of terrain."""
 
 OPEN: Limits = (0.0, math.inf)
 """The limits of a condition that is not set."""
@@ -95,7 +103,7 @@ class Random:
 
     Raises:
         ValueError: a band is not two numbers in ascending order, ``to_first_seed_point`` is not a
-            bool, or ``per_map`` is not an integer of at least 1.
+            bool, or ``per_map`` is not an integer from 1 to 1,000,000.
 
     >>> Random(distance=(10, None)).distance
     (10.0, inf)
@@ -114,6 +122,8 @@ class Random:
         """Check the values, and convert the bands to floats."""
         check_flag("to_first_seed_point", self.to_first_seed_point)
         object.__setattr__(self, "per_map", check_count("per_map", self.per_map))
+        if self.per_map > MAX_PER_MAP:
+            raise ValueError(f"per_map: got {self.per_map}, expected at most {MAX_PER_MAP:,}")
         for name in ("distance", "hardness", "length"):
             band = getattr(self, name)
             if band is not None:
@@ -211,3 +221,63 @@ def check_band(name: str, band: object) -> Limits:
     raise ValueError(
         f"{name}: got {band!r}, expected (lowest, highest), where None leaves a side open"
     )
+
+
+def check_possible(
+    problems: Source, map_size: Size, movement: Movement, *, has_terrain: bool
+) -> None:
+    """Refuse bands that no problem on any map of this size is within.
+
+    A search for such a problem would take long before it ends in an error, too. What is refused
+    follows from the bands alone, so a search may still be in vain.
+
+    Args:
+        problems: only random ones have bands.
+        map_size: (rows, columns).
+        movement: the rule of moves.
+        has_terrain: whether free cells cost different amounts.
+
+    Raises:
+        ValueError: the message names the bands, and what is possible.
+    """
+    if not isinstance(problems, Random) or problems.bands == (OPEN, OPEN, OPEN):
+        return
+    distances, ratios, lengths = problems.bands
+    rows, columns = map_size
+    most_cells = rows * columns
+    refused = f"problems: got {plain_text(problems)}, which no problem meets: "
+    # Costs are rounded to floats, and no band that is this close to the possible is refused.
+    margin = 1e-9
+    if ratios[1] < 1 - margin:
+        raise ValueError(f"{refused}hardness is 1 or more")
+    least_length = max(math.ceil(lengths[0]), 2)
+    most_length = min(lengths[1], most_cells)
+    if least_length > math.floor(most_length):
+        raise ValueError(
+            f"{refused}length is a whole number from 2 to {most_cells}, the number of cells of a "
+            f"map of {rows} x {columns} cells"
+        )
+    most_length = math.floor(most_length)
+    most_move_cost = movement.diagonal_cost if movement.connectivity == 8 else 1.0
+    if has_terrain:
+        most_move_cost *= MAX_CELL_COST
+    least_cost = least_length - 1
+    most_cost = (most_length - 1) * most_move_cost
+    # The heuristic is 1 or more, so the cost is no less than the hardness.
+    least_distance = max(distances[0], ratios[0])
+    is_too_far = least_distance > most_cost * (1 + margin)
+    is_too_close = distances[1] < max(least_cost, ratios[0]) * (1 - margin)
+    # Only a cost that counts moves is a whole number.
+    has_no_number = most_move_cost == 1 and math.ceil(distances[0]) > distances[1]
+    if is_too_far or is_too_close or has_no_number:
+        cells = f"{_span(least_length, most_length)} cells"
+        costs = _span(least_cost, most_cost)
+        if most_move_cost == 1:
+            costs += ", a whole number"
+        no_less = "" if problems.hardness is None else ", and no less than the hardness"
+        raise ValueError(f"{refused}the distance of a path of {cells} is {costs}{no_less}")
+
+
+def _span(least: float, most: float) -> str:
+    """Return a range of numbers in words, or the only number in it."""
+    return f"{least:.6g}" if least == most else f"{least:.6g} to {most:.6g}"

@@ -5,6 +5,8 @@ docs/format.md, section 6, has these rules.
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 
 from mapdata.arrays import Ints
@@ -24,6 +26,11 @@ MIN_MAPS = 20
 
 MAX_MAPS = 100_000
 """A problem is sought on no more maps than this, however small they are."""
+
+RARE_SHARE = 2
+"""A search that goes on is said to be long once it has failed on 1 / RARE_SHARE of the maps that a
+search in vain may take: after some seconds.
+"""
 
 
 def most_maps(problems: Source, map_size: Size, goals: int) -> int:
@@ -63,3 +70,12 @@ def draw_substitutes(
         half = np.uint64(32)
         places[k] = np.int64((w0 * n + ((w1 * n) >> half)) >> half)
     return places
+
+
+def say_rare(message: str) -> None:
+    """Write on stderr that problems are rare, so that a long search is not silent."""
+    # tqdm's own function for this leaves progress bars intact.
+    from tqdm.auto import tqdm
+
+    if sys.stderr:
+        tqdm.write(f"rare problems: {message}", file=sys.stderr)

@@ -25,8 +25,9 @@ from helpers.builds import MAPS, SEED, SIZE, SPEC, make, shard_name, stamps, unp
 from helpers.families import forget, write_module
 
 import mapdata
-from mapdata import MapDataset, MapSpec, Maze, Movement, ProblemSet, build, read_shard
+from mapdata import MapDataset, MapSpec, Maze, Movement, ProblemSet, Random, build, read_shard
 from mapdata.cli import app as cli
+from mapdata.cli.export import problems_of_flags
 from mapdata.export import export_problems
 from mapdata.generators import PRESETS, Cave, Terrain
 from mapdata.generators.generator import _presets
@@ -230,6 +231,26 @@ def test_info_prints_what_the_problems_are_worth(run: Command, dataset: Path) ->
     run.refused(2, "need --problems", "info", dataset, "--connectivity", 8)
     run.refused(2, "--recipe", "info", dataset, "--recipe", "--problems")
     run.refused(2, "problems: got 'routes'", "info", dataset, "--problems", "routes")
+
+
+def test_flags_of_bands_add_to_random_problems() -> None:
+    """Also to those of a JSON text, unless it has a band of the same name."""
+    bands = {"distance": "10:", "hardness": None, "length": ":40"}
+    asked_for = Random((10, None), None, (None, 40))
+    assert problems_of_flags("route", dict.fromkeys(bands)) == "route"
+    for problems in (None, "random", '{"random": {}}'):
+        assert problems_of_flags(problems, bands) == asked_for
+    several = problems_of_flags('{"random": {"per_map": 3, "hardness": [1.2, null]}}', bands)
+    assert several == replace(asked_for, per_map=3, hardness=(1.2, None))
+    for problems, says in (
+        ("route", "--distance, --length: only for random problems, got --problems route"),
+        ('{"random": {"length": [3, 9]}}', "--length: --problems has a band of this name, too"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            problems_of_flags(problems, bands)
+    for text in ("5", "5,10", "a:b", "9:5", "nan:", ":-1", "1:2:3"):
+        with pytest.raises(ValueError, match=f"--length: got '{text}', expected MIN:MAX with MIN"):
+            problems_of_flags(None, {"length": text})
 
 
 def test_build_takes_a_movement(run: Command, tmp_path: Path) -> None:

@@ -464,10 +464,10 @@ def test_conditions_that_no_map_meets(root: str, monkeypatch: pytest.MonkeyPatch
     """An error that names the conditions, instead of a search without end."""
     monkeypatch.setattr("mapdata.problems.substitutes.MAX_CELLS", 10**6)
     for dataset in (
-        MapDataset(root, problems=Random(distance=(1000, None))),
-        OnlineMapDataset(samples.SPEC, problems=Random(distance=(1000, None))),
+        MapDataset(root, problems=Random(distance=(220, None))),
+        OnlineMapDataset(samples.SPEC, problems=Random(distance=(220, None))),
     ):
-        asked_for = r'problems: got {"random": {"distance": \[1000.0, null\]}}: none on'
+        asked_for = r'problems: got {"random": {"distance": \[220.0, null\]}}: none on'
         with pytest.raises(ValueError, match=asked_for):
             dataset[0]
 

@@ -21,15 +21,18 @@ from mapdata import (
     MapDataModule,
     MapDataset,
     OnlineMapDataset,
+    ProblemSet,
     Random,
     Terrain,
     build,
     distance_field,
     generate,
 )
+from mapdata.datasets import dataset as dataset_module
 from mapdata.datasets.dataset import SampledProblemDataset
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.limits import SPLITS
+from mapdata.problems.nearest import nearest_text, nothing_seen, see_value
 
 WALLS = Forest((9, 8), cover=(0.3, 0.5), sizes=(1, 1), splits=(0.5, 0.2, 0.3))
 """Small maps, of which one in three has a path of `RARE`."""
@@ -277,9 +280,7 @@ def test_a_stored_dataset_has_the_same_end(tmp_path: Path, monkeypatch: pytest.M
     root = build_small(tmp_path / "maps", maps=10)
     monkeypatch.setattr("mapdata.problems.substitutes.MAX_CELLS", 0)
     for problems, radius, says in (
-        (Random(distance=(1000, None)), 0.0, r"20 maps were .* largest distance seen is \d+ cells"),
-        (Random(distance=(None, 0)), 0.0, "the smallest distance seen is 1 cells"),
-        (Random(length=(2.2, 2.8)), 0.0, "the nearest paths seen have 2 and 3 cells"),
+        (Random(distance=(390, None)), 0.0, r"20 maps were .* largest distance seen is \d+ cells"),
         (Random(hardness=(40, None)), 0.0, r"the largest hardness seen is [\d.]+; take"),
         (Random((None, 3), (1.5, None)), 0.0, "no start met all conditions at once"),
         (Random(), 5.0, "no goal could be reached from another cell; .* smaller radius than 5 m"),
@@ -308,13 +309,92 @@ def test_the_end_on_terrain_names_costs_and_lengths(monkeypatch: pytest.MonkeyPa
             largest = max(largest, float(costs.max()))
     for problems, says in (
         (Random(distance=(9999, None)), f"the largest distance seen is {largest:g} cells;"),
-        (Random(length=(999, None)), r"and the longest path seen has (1\d|2\d) cells;"),
+        (Random(length=(72, None)), r"and the longest path seen has (1\d|2\d) cells;"),
     ):
         dataset = OnlineMapDataset(
             hills, 0, 5, fields=("map",), problems=problems, sampling_seed=SAMPLING_SEED
         )
         with pytest.raises(ValueError, match=says):
             dataset[2]
+    steep = Terrain((8, 9), costs=(7, 9))
+    near = OnlineMapDataset(steep, 0, 5, problems=Random(distance=(None, 6)))
+    with pytest.raises(ValueError, match="the smallest distance seen is 7 cells;"):
+        near[2]
+
+
+def test_the_nearest_values_on_both_sides_of_a_band() -> None:
+    """The largest value below it and the smallest one above it."""
+    seen = nothing_seen()
+    band = np.array([2.1, 2.3])
+    for value in (1.0, 2.0, 2.5, 3.0):
+        see_value(seen[0], band, value)
+        see_value(seen[2], band, value)
+    for problems, says in (
+        (Random(distance=(2.1, 2.3)), "the nearest values of distance seen are 2 and 2.5 cells"),
+        (Random(length=(2.1, 2.3)), "the nearest paths seen have 2 and 2.5 cells"),
+    ):
+        assert nearest_text(seen, problems) == says
+
+
+def test_many_maps_of_terrain_are_tried_at_once() -> None:
+    """Small ones, on which no cost is too high; one after another they would take minutes."""
+    steep = Terrain((5, 6), costs=(7, 9))
+    asked_for = Random(distance=(None, 6))
+    dataset = OnlineMapDataset(steep, 0, 5, problems=asked_for)
+    assert dataset._substitutes_ahead(np.array([800]), 10_000) == 100
+    large = OnlineMapDataset(Terrain((80, 80)), 0, 5, problems=asked_for)
+    assert large._substitutes_ahead(np.array([800]), 10_000) == 1
+
+
+# --- no silence ---------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def _new_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Be a process that has not said yet that problems are rare."""
+    monkeypatch.setitem(dataset_module._process, "said_rare", False)
+
+
+@pytest.mark.usefixtures("_new_process")
+def test_a_batch_of_rare_problems_says_so_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """After half of the maps that a search in vain may take; not where a bar shows more."""
+    rare = Random(length=(22, None))
+
+    def dataset() -> OnlineMapDataset:
+        return OnlineMapDataset(WALLS, SEED, 30, problems=rare)
+
+    dataset()[:]
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr("mapdata.problems.substitutes.MAX_CELLS", 32 * 72 * 200)
+    with_bar = dataset()
+    with_bar.report_tried = lambda maps: maps
+    with_bar[:]
+    assert capsys.readouterr().err == ""
+    for _ in range(2):
+        dataset()[:]
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith('rare problems: {"random": {"length": [22.0, null]}}: ')
+    assert "of 30 problems of a batch still to find; wider conditions are faster" in line
+
+
+def test_a_set_of_rare_problems_says_so_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Unless a bar shows more."""
+    monkeypatch.setattr("mapdata.problems.substitutes.MAX_CELLS", 0)
+    build(tmp_path, WALLS, maps=100, seed=SEED, workers=1)
+    rare = Random(length=(22, None))
+    for progress in (False, True):
+        for draw in (
+            lambda: ProblemSet.sample(WALLS, SEED, 50, problems=rare, progress=progress),  # noqa: B023
+            lambda: ProblemSet.read(tmp_path, split="train", problems=rare, progress=progress),  # noqa: B023
+        ):
+            draw()
+            said = capsys.readouterr().err
+            assert said.count("rare problems: ") == (not progress)
+            assert ("maps; progress=True shows a bar" in said) == (not progress)
 
 
 # --- several problems a map ---------------------------------------------------------------------

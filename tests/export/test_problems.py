@@ -131,8 +131,23 @@ def test_a_condition_that_no_map_meets_ends_an_export(
     """Nothing is left of it."""
     monkeypatch.setattr("mapdata.problems.substitutes.MAX_CELLS", 0)
     with pytest.raises(ValueError, match="20 maps were tried for problem 0 of epoch 0"):
-        export_problems(MAZE, tmp_path / "out", count=40, problems=Random(length=(9999, None)))
+        export_problems(MAZE, tmp_path / "out", count=40, problems=Random(length=(225, None)))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_note_names_a_folder_that_a_preset_hides(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A dataset in the working folder that is named as a preset is not what is exported."""
+    build(tmp_path / "maze15", MAZE, maps=20, seed=3, workers=1)
+    monkeypatch.chdir(tmp_path)
+    hidden = export_problems("maze15", "preset", count=2, split="train")
+    stored = export_problems("./maze15", "stored", count=2, split="train")
+    assert [note for note in hidden if note.startswith("source: ")] == [
+        "source: maze15 is the preset; ./maze15 is the dataset in the folder of this name, which "
+        "was not read"
+    ]
+    assert not any(note.startswith("source: ") for note in stored)
 
 
 def test_more_random_problems_than_maps_are_those_of_later_epochs(
