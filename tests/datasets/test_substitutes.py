@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import count, islice
 from pathlib import Path
 
@@ -386,12 +387,13 @@ def test_a_set_of_rare_problems_says_so_once(
     monkeypatch.setattr("mapdata.problems.substitutes.MAX_CELLS", 0)
     build(tmp_path, WALLS, maps=100, seed=SEED, workers=1)
     rare = Random(length=(22, None))
+    draws: tuple[Callable[..., ProblemSet], ...] = (
+        partial(ProblemSet.sample, WALLS, SEED, 50),
+        partial(ProblemSet.read, tmp_path, split="train"),
+    )
     for progress in (False, True):
-        for draw in (
-            lambda: ProblemSet.sample(WALLS, SEED, 50, problems=rare, progress=progress),  # noqa: B023
-            lambda: ProblemSet.read(tmp_path, split="train", problems=rare, progress=progress),  # noqa: B023
-        ):
-            draw()
+        for draw in draws:
+            draw(problems=rare, progress=progress)
             said = capsys.readouterr().err
             assert said.count("rare problems: ") == (not progress)
             assert ("maps; progress=True shows a bar" in said) == (not progress)
