@@ -433,25 +433,23 @@ def _mark_costs_within(
     for all cells but those that are as close to an end of a band.
     """
     distances, ratios, lengths = bands
-    margin = 1e-11
-    min_distance = max(distances[0], 1.0)  # so that the goal is no start
-    scale = 1.0 / UNIT
-    max_distance = min(distances[1], MAX_PATH_COST + 1.0)  # no path leads to the cells above that
-    wide_low = min_distance * (1 - margin)
-    wide_high = max_distance * (1 + margin)
-    wide_low_ratio = ratios[0] * (1 - margin)
-    wide_high_ratio = ratios[1] * (1 + margin)
-    narrow_low = min_distance * (1 + margin)
-    narrow_high = max_distance * (1 - margin)
-    narrow_low_ratio = ratios[0] * (1 + margin) if ratios[0] > 1 else 0.0  # none is below 1
-    narrow_high_ratio = ratios[1] * (1 - margin)
+    slightly_less = 1 - 1e-11
+    slightly_more = 1 + 1e-11
+    # Here a cost is in 1 / UNIT, as in ``costs``.
+    min_cost = UNIT * max(distances[0], 1.0)  # so that the goal is no start
+    max_cost = UNIT * min(distances[1], MAX_PATH_COST + 1.0)  # a cell without a path has more
+    min_ratio = ratios[0] if ratios[0] > 1 else 0.0  # none is below 1
     has_lengths = lengths[0] > 2 or lengths[1] < np.inf
     # What a diagonal move costs more than a straight one. Without diagonals it is as if it cost 2.
-    extra = 1.0 if lattice.diagonals == NO_DIAGONALS else lattice.diagonal_cost * scale - 1
+    extra_cost = 1.0 * (UNIT if lattice.diagonals == NO_DIAGONALS else lattice.diagonal_cost - UNIT)
+    columns_away = np.empty(shape[1])
+    for column in range(shape[1]):
+        columns_away[column] = abs(column - goal[1])
     fits = np.zeros(WORD, np.uint8)
     eight_fits = fits.view(np.uint64)
     for row in range(shape[0]):
-        rows = abs(row - goal[0])
+        rows = row - goal[0]
+        rows_away = 1.0 * abs(rows)
         for first_column in range(0, shape[1], WORD):
             first_cell = np.uint64(cell_at(row, first_column, lattice))
             width = min(WORD, shape[1] - first_column)
@@ -459,15 +457,13 @@ def _mark_costs_within(
             # Without branches, the compiler handles several cells at once.
             for k in range(width):
                 i = np.uint64(k)
-                cost = costs[first_cell + i] * scale
-                columns = abs(first_column + k - goal[1])
-                bound = max(rows, columns) + min(rows, columns) * extra
-                is_in = (cost >= wide_low) & (cost <= wide_high)
-                is_in &= (cost >= wide_low_ratio * bound) & (cost <= wide_high_ratio * bound)
-                is_inside = (cost >= narrow_low) & (cost <= narrow_high)
-                is_inside &= (cost >= narrow_low_ratio * bound) & (
-                    cost <= narrow_high_ratio * bound
-                )
+                cost = 1.0 * costs[first_cell + i]
+                columns = columns_away[np.uint64(first_column) + i]
+                bound = max(rows_away, columns) * UNIT + min(rows_away, columns) * extra_cost
+                low = max(min_cost, min_ratio * bound)
+                high = min(max_cost, ratios[1] * bound)
+                is_in = (cost >= low * slightly_less) & (cost <= high * slightly_more)
+                is_inside = (cost >= low * slightly_more) & (cost <= high * slightly_less)
                 fits[i] = is_in
                 is_close |= np.uint8(is_in ^ is_inside)
             word = np.uint64(0)

@@ -261,9 +261,10 @@ def flood_within(row: Int, column: Int, limits: Ints, board: Board) -> Int:
         if least <= most:
             for k in range(first_word, last_word + 1):
                 i = np.uint64(k)
-                near = _bits_within(columns[i], most - rows_away[i])
-                too_near = _bits_within(columns[i], least - 1 - rows_away[i])
-                reached[i] |= following[i] & near & ~too_near
+                kept = following[i] & _bits_within(columns[i], most - rows_away[i])
+                if least > 1:  # A distance of 1 is the least that any cell has.
+                    kept &= ~_bits_within(columns[i], least - 1 - rows_away[i])
+                reached[i] |= kept
         current, following = following, current
     return first_word > last_word
 

@@ -32,6 +32,7 @@ import numpy as np
 from mapdata.arrays import Bytes, Flags, Ints, UInt32s
 from mapdata.jit import Int, inlined, kernel
 from mapdata.search.kernels import (
+    LOWEST_MOVE,
     TOO_LONG,
     Scratch,
     insert_in_heap,
@@ -376,17 +377,14 @@ def jump_to_goals(
     return cells[:used], moves, expansions, looks, offsets, count
 
 
-_STRAIGHT_MOVES = np.uint64(15)
-"""The set of the four straight moves."""
-
 _NO_MOVE = 8
 """Stands for the move that led to the cell where `jump_costs` begins."""
 
-_SETTLED = 9
-"""Stands for the move that led to a cell whose neighbours `jump_costs` has seen."""
+_SETTLED = np.uint64(9)
+"""Stands for the move that led to a cell that `jump_costs` has expanded."""
 
-_ZERO = np.uint64(0)
 _ONE = np.uint64(1)
+_EIGHT = np.uint64(8)
 _BYTE = np.uint8(1)
 
 
@@ -436,9 +434,6 @@ def _kept_moves(diagonals: int) -> Bytes:
 _KEPT_MOVES = _kept_moves(NO_CORNER_CUTTING)
 _KEPT_MOVES_CUTTING_CORNERS = _kept_moves(CORNER_CUTTING)
 
-_LOWEST_MOVE = np.array([0] + [(k & -k).bit_length() - 1 for k in range(1, 256)], np.uint8)
-"""(256,) the lowest move of each set of moves that is not empty."""
-
 
 @kernel
 def find_free_neighbours(states: Bytes, lattice: Lattice, neighbours: Bytes) -> None:
@@ -473,9 +468,15 @@ def jump_costs(
 ) -> None:
     """Write the cost of a shortest path from every cell to ``goal``, under 8-connectivity.
 
-    As in `shortest_costs`, buckets one UNIT wide take the place of a heap. But from most cells only
-    one move is followed, since the others begin no path that makes its diagonal moves first. On
-    open maps that takes a third of the time; it does not give the optimal moves.
+    A walk from an expanded cell along a move lowers the costs of the cells on its way. It ends
+    before a cell whose cost it does not lower, or at one where a path may take another move. Only
+    these last cells are pushed, to be expanded in their turn. On open maps they are few.
+
+    As in `shortest_costs`, buckets one UNIT wide take the place of a heap. A bucket is a stack
+    through the log, as in `best_first_buckets`. A walk may lower costs along an earlier one. But
+    when a bucket is expanded, the costs in it are final, since a move costs at least UNIT.
+
+    Unlike `shortest_costs`, it does not find the optimal moves.
 
     Args:
         goal: padded cell, free.
@@ -484,71 +485,78 @@ def jump_costs(
         neighbours: (cells,) from `find_free_neighbours`.
         lattice: of the map, with diagonals.
         scratch: whose ``g`` (cells,) becomes the costs in 1 / UNIT, INFINITY without a path and on
-            occupied cells.
+            occupied cells. There is room for all pushes: an expansion makes at most one for each of
+            its moves.
 
     Raises:
         ValueError: a path is too long for exact costs.
     """
-    moves = scratch.came_from  # the move that led to a cell
+    moves = scratch.came_from  # the move that led to a pushed cell
     costs = scratch.g
-    # A straight move leads to the next bucket, a diagonal one to the next or to the one after it.
-    cells = scratch.pushed
-    next_cells = scratch.links
-    later_cells = scratch.f.view(np.uint32)
+    pushed = scratch.pushed
+    links = scratch.links
     kept_moves = _KEPT_MOVES
     if lattice.diagonals == CORNER_CUTTING:
         kept_moves = _KEPT_MOVES_CUTTING_CORNERS
     for k in range(lattice.cells):
         costs[np.uint64(k)] = INFINITY
+    # The buckets form a ring. A walk of as many moves as the longer side of the map has cells,
+    # each of less than 2 UNIT, does not go around it.
+    longer_side = max(lattice.stride, lattice.cells // lattice.stride)
+    ring_size = 4
+    while ring_size < 2 * longer_side:
+        ring_size *= 2
+    bucket_tops = np.zeros(ring_size, np.uint32)
+    last_slot = np.int64(ring_size - 1)
     costs[goal] = 0
     moves[goal] = _NO_MOVE
-    cells[0] = goal
-    size = _ONE
-    next_size = _ZERO
-    later_size = _ZERO
-    bucket = 0
-    while (size or next_size) and bucket < max_cost:
+    # Push 0 does not exist, so a link of 0 ends a list.
+    pushed[1] = goal
+    links[1] = 0
+    bucket_tops[0] = 1
+    next_push = np.uint64(2)
+    waiting = np.uint64(1)
+    bucket = np.int64(0)
+    while waiting and bucket < max_cost:
         if bucket >= MAX_PATH_COST:
             raise ValueError(TOO_LONG)
-        while size:
-            size -= _ONE
-            cell = np.uint64(cells[size])
-            last_move = np.uint64(moves[cell])
-            if last_move == _SETTLED:
-                continue  # The cell was pushed again with a smaller cost.
-            moves[cell] = _SETTLED
-            around = np.uint64(neighbours[cell])
-            kept = np.uint64(kept_moves[(last_move << np.uint64(8)) | around])
-            straight = kept & _STRAIGHT_MOVES
-            diagonal = kept ^ straight
+        slot = np.uint64(bucket & last_slot)
+        top = np.uint64(bucket_tops[slot])
+        bucket_tops[slot] = 0
+        while top:
+            cell = np.uint64(pushed[top])
+            top = np.uint64(links[top])
+            waiting -= _ONE
             cost = costs[cell]
-            new_cost = cost + UNIT
-            while straight:
-                move = np.uint64(_LOWEST_MOVE[straight])
-                straight &= straight - _ONE
-                neighbour = cell + np.uint64(lattice.offsets[move])
-                next_cells[next_size] = neighbour
-                if new_cost < costs[neighbour]:
-                    costs[neighbour] = new_cost
-                    moves[neighbour] = move
-                    next_size += _ONE
-            new_cost = cost + lattice.diagonal_cost
-            is_next = new_cost >> UNIT_BITS == bucket + 1
-            while diagonal:
-                move = np.uint64(_LOWEST_MOVE[diagonal])
-                diagonal &= diagonal - _ONE
-                neighbour = cell + np.uint64(lattice.offsets[move])
-                if new_cost < costs[neighbour]:
-                    costs[neighbour] = new_cost
-                    moves[neighbour] = move
-                    if is_next:
-                        next_cells[next_size] = neighbour
-                        next_size += _ONE
-                    else:
-                        later_cells[later_size] = neighbour
-                        later_size += _ONE
-        cells, next_cells, later_cells = next_cells, later_cells, cells
-        size = next_size
-        next_size = later_size
-        later_size = _ZERO
+            last_move = np.uint64(moves[cell])
+            # A cell whose cost became smaller was pushed again, or a walk went on through it.
+            if last_move == _SETTLED or cost >> UNIT_BITS != bucket:
+                continue
+            moves[cell] = _SETTLED
+            kept = np.uint64(kept_moves[(last_move << _EIGHT) | np.uint64(neighbours[cell])])
+            while kept:
+                move = np.uint64(LOWEST_MOVE[kept])
+                kept &= kept - _ONE
+                only_move = _ONE << move
+                step = np.uint64(lattice.offsets[move])
+                move_cost = UNIT if move < np.uint64(4) else lattice.diagonal_cost
+                target = cell + step
+                new_cost = cost + move_cost
+                next_moves = only_move
+                while new_cost < costs[target]:
+                    costs[target] = new_cost
+                    around = np.uint64(neighbours[target])
+                    next_moves = np.uint64(kept_moves[(move << _EIGHT) | around])
+                    if next_moves != only_move:
+                        break
+                    target += step
+                    new_cost += move_cost
+                if next_moves != only_move and next_moves:
+                    moves[target] = move
+                    pushed[next_push] = target
+                    slot = np.uint64((new_cost >> UNIT_BITS) & last_slot)
+                    links[next_push] = bucket_tops[slot]
+                    bucket_tops[slot] = next_push
+                    next_push += _ONE
+                    waiting += _ONE
         bucket += 1

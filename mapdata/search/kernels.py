@@ -76,6 +76,9 @@ _BUCKET_BITS = UNIT_BITS - 6
 _BUCKETS = 256
 """The buckets together cover 4 straight moves, more than f grows by at once, which is 2 sqrt(2)."""
 
+LOWEST_MOVE = np.array([0] + [(k & -k).bit_length() - 1 for k in range(1, 256)], np.uint8)
+"""(256,) the lowest move of each set of moves that is not empty; bit k stands for move k."""
+
 TOO_LONG = (
     f"the grid has paths of {MAX_PATH_COST} cells or more, for which costs are not exact: expected "
     "a coarser grid, or a search that counts moves (A* under 4-connectivity, BFS)"
@@ -317,10 +320,13 @@ def best_first_buckets(
 
     Stacks are lists through the log, as in `astar_manhattan`. ``g`` and ``f`` are in 1 / UNIT.
 
+    Which moves lead to a push is found without branches, which the processor would often predict
+    wrongly: most neighbours are not pushed.
+
     Args:
         start: padded cell, free.
         goal: padded cell, free.
-        lattice: of the map.
+        lattice: of the map, with diagonals.
         scratch: with the map loaded in ``came_from``.
 
     Returns:
@@ -346,6 +352,8 @@ def best_first_buckets(
     current_top = np.uint32(1)
     pushes = np.uint32(2)
     expansions = 0
+    stride = np.uint64(lattice.stride)
+    may_cut = lattice.diagonals == CORNER_CUTTING
     while True:
         if current_top == 0:
             empty_buckets = 0
@@ -357,8 +365,8 @@ def best_first_buckets(
             current_top, bucket_tops[bucket], current_f = _split_bucket(
                 bucket_tops[bucket], links, f
             )
-        cell = pushed[current_top]
-        current_top = links[current_top]
+        cell = np.uint64(pushed[np.uint64(current_top)])
+        current_top = links[np.uint64(current_top)]
         # A closed cell was pushed again with a smaller f and expanded then.
         if came_from[cell] & CLOSED:
             continue
@@ -369,30 +377,48 @@ def best_first_buckets(
         cost = g[cell]
         if cost >= MAX_PATH_COST * UNIT:
             raise ValueError(TOO_LONG)
-        row, column = position(cell, lattice)
-        for move in range(len(lattice.offsets)):
-            neighbour = np.uint64(cell + lattice.offsets[move])
-            tentative_g = cost + (UNIT if move < 4 else lattice.diagonal_cost)
+        row, column = position(np.int64(cell), lattice)
+        straight_g = cost + UNIT
+        diagonal_g = cost + lattice.diagonal_cost
+        # This copy of the corner rule of `is_legal` has no branches.
+        north_free = may_cut | (came_from[cell - stride] != WALL)
+        east_free = may_cut | (came_from[cell + _ONE] != WALL)
+        south_free = may_cut | (came_from[cell + stride] != WALL)
+        west_free = may_cut | (came_from[cell - _ONE] != WALL)
+        moves = np.uint64(0)
+        for bit, neighbour, tentative_g, is_allowed in (
+            (0, cell - stride, straight_g, True),
+            (1, cell + _ONE, straight_g, True),
+            (2, cell + stride, straight_g, True),
+            (3, cell - _ONE, straight_g, True),
+            (4, cell - stride + _ONE, diagonal_g, north_free & east_free),
+            (5, cell + stride + _ONE, diagonal_g, south_free & east_free),
+            (6, cell + stride - _ONE, diagonal_g, south_free & west_free),
+            (7, cell - stride - _ONE, diagonal_g, north_free & west_free),
+        ):
             state = came_from[neighbour]
-            # Most neighbours fail this test, so that corners are looked at for few of them. Closed
-            # cells always fail it, because the heuristic is consistent.
-            if state == WALL or (state != UNSEEN and g[neighbour] <= tentative_g):
-                continue
-            if not is_legal(came_from, cell, move, lattice):
-                continue
+            # A closed cell has its final g already, because the heuristic is consistent.
+            is_cheaper = (state == UNSEEN) | ((state < CLOSED) & (g[neighbour] > tentative_g))
+            moves |= np.uint64(is_allowed & is_cheaper) << np.uint64(bit)
+        while moves:
+            move = np.uint64(LOWEST_MOVE[moves])
+            moves &= moves - _ONE
+            neighbour = cell + np.uint64(lattice.offsets[move])
+            tentative_g = straight_g if move < np.uint64(4) else diagonal_g
             rows_to_goal = row + STEPS[move, 0] - goal_row
             columns_to_goal = column + STEPS[move, 1] - goal_column
             neighbour_f = tentative_g + heuristic(rows_to_goal, columns_to_goal, lattice)
             came_from[neighbour] = move
             g[neighbour] = tentative_g
-            pushed[pushes] = neighbour
+            push = np.uint64(pushes)
+            pushed[push] = neighbour
             if neighbour_f == current_f:
-                links[pushes] = current_top
+                links[push] = current_top
                 current_top = pushes
             else:
-                f[pushes] = neighbour_f
+                f[push] = neighbour_f
                 neighbour_bucket = np.uint8(neighbour_f >> _BUCKET_BITS)
-                links[pushes] = bucket_tops[neighbour_bucket]
+                links[push] = bucket_tops[neighbour_bucket]
                 bucket_tops[neighbour_bucket] = pushes
             pushes += np.uint32(1)
     return expansions, np.int64(pushes)
@@ -790,7 +816,8 @@ def solve_problems(
         is_bfs = weights == BFS
     for b in range(count):
         grid = grids[b if len(grids) > 1 else 0]
-        # A* wipes what it wrote. BFS touches most of a grid, so that copying it anew costs less.
+        # On a shared grid, A* wipes what it wrote. BFS touches most of a grid, so that copying it
+        # anew costs less.
         must_load = b == 0 or len(grids) > 1 or is_bfs
         if must_load and not load(grid, scratch.came_from):
             return cells, moves, expansions, offsets, b
@@ -808,7 +835,7 @@ def solve_problems(
         write_cells(scratch.came_from, goal, lattice, cells[used : used + length])
         used += length
         offsets[b + 1] = used
-        if not is_bfs:
+        if len(grids) == 1 and not is_bfs:
             wipe(scratch, pushes)
     return cells[:used], moves, expansions, offsets, count
 

@@ -23,6 +23,18 @@ from mapdata import PRESETS, MapGenerator, Maze, Movement, astar, check_path, ge
 from mapdata.arrays import Bytes, Ints
 from mapdata.generators.maps import Maps
 from mapdata.search.api import solve_by_goal_fields, solve_by_jump_points
+from mapdata.search.jump_points import find_free_neighbours, jump_costs
+from mapdata.search.kernels import plain_new_scratch
+from mapdata.search.lattice import (
+    INFINITY,
+    UNIT,
+    UNSEEN,
+    WALL,
+    cell_at,
+    in_cells,
+    move_rule,
+    plain_lattice,
+)
 
 EIGHT = MOVEMENTS[1:]
 eight_moves = pytest.mark.parametrize(
@@ -385,3 +397,35 @@ def test_costs_of_ten_thousand_maps_equal_those_of_astar(movement: Movement) -> 
         free = np.argwhere(grid == 0)
         starts, goals = free[source.integers(len(free), size=(2, 8))]
         assert_optimal(grid, starts, goals, movement)
+
+
+def costs_by_jumps(problem: Problem, movement: Movement, max_cost: int) -> dict[Cell, int]:
+    """Return the costs of all cells to the goal by `jump_costs`, in 1 / UNIT, without INFINITY."""
+    shape = problem.grid.shape
+    lattice = plain_lattice(shape, move_rule(movement))
+    scratch = plain_new_scratch(lattice)
+    walled = np.pad(problem.grid, 1, constant_values=1).reshape(-1)
+    scratch.came_from[:] = np.where(walled, WALL, UNSEEN)
+    neighbours = np.zeros(lattice.cells, np.uint8)
+    find_free_neighbours(scratch.came_from, lattice, neighbours)
+    goal = cell_at(*problem.goal, lattice)
+    jump_costs(goal, max_cost, neighbours, lattice, scratch)
+    costs = scratch.g.reshape(-1, lattice.stride)[1:-1, 1:-1]
+    return {cell: cost for cell, cost in np.ndenumerate(costs.tolist()) if cost < INFINITY}
+
+
+@eight_moves
+@given(problem=problems())
+@settings(max_examples=12)
+def test_costs_of_all_cells_equal_those_of_a_slow_search(
+    movement: Movement, problem: Problem
+) -> None:
+    """A search that stops early finds all costs below its end, and no cost below it is wrong."""
+    slow = reference.reference_distances(problem.grid.tolist(), problem.goal, movement)
+    expected = {cell: reference.as_float(cost, movement) for cell, cost in slow.items()}
+    costs = costs_by_jumps(problem, movement, int(INFINITY))
+    assert {cell: in_cells(cost) for cell, cost in costs.items()} == expected
+    for end in (0, 1, 9):
+        costs = costs_by_jumps(problem, movement, end)
+        below_end = {cell: in_cells(cost) for cell, cost in costs.items() if cost < end * UNIT}
+        assert below_end == {cell: cost for cell, cost in expected.items() if cost < end}
