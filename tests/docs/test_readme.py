@@ -51,7 +51,7 @@ def test_its_python_runs() -> None:
     assert [block.language for block in pages.blocks(PAGE)] == ["python", "text", "bibtex"]
     with mpl.rc_context({"backend": "Agg"}):
         pages.run(PAGE)
-    assert "for map, start, goal, path in" in README
+    assert "for map, start, goal, optimal in" in README
     assert Path("batch.png").read_bytes().startswith(b"\x89PNG")
 
 
