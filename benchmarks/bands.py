@@ -14,9 +14,9 @@ import numpy as np
 
 from benchmarks.measure import Row, to_text
 from mapdata import Forest, Movement, Random, generate
-from mapdata.datasets.dataset import DRAWS
-from mapdata.problems.sampling import sample_problems
-from mapdata.search.lattice import move_rule
+from mapdata.datasets import DRAWS
+from mapdata.problems import sample_problems
+from mapdata.search import move_rule
 
 PACKAGES = ("mapdata-torch", "numpy", "numba")
 GOALS = (4, 8, 16, 32)

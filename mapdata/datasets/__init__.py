@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mapdata.datasets.dataset import MapDataset
+from mapdata.datasets.dataset import DRAWS, MapDataset
 from mapdata.datasets.fields import FIELDS, Batch, Waypoints
 from mapdata.datasets.info import DatasetInfo, FieldInfo
 from mapdata.datasets.online import OnlineMapDataset
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from mapdata.datasets.datamodule import MapDataModule
 
 __all__ = [
+    "DRAWS",
     "FIELDS",
     "Batch",
     "DatasetInfo",

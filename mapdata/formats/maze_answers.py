@@ -150,7 +150,7 @@ def check_answer(question: str, answer: str) -> AnswerCheck:
 
     Source of the scale: reasoning-gym, https://arxiv.org/abs/2505.24760.
 
-    >>> check_answer("S   #   G", "Down, then right:\\n```\\nDDRR\\n```")
+    >>> check_answer("S   #   G", "Down, then right:\n```\nDDRR\n```")
     AnswerCheck(score=1.0, reason='a shortest path', moves='DDRR')
     >>> check_answer("S   #   G", "down right").reason
     'move 2 leads into a wall'

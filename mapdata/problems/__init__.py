@@ -1,6 +1,7 @@
 """Problems on maps: their sources, fixed sets of them, and symmetries. Without torch."""
 
 from mapdata.problems.problem_set import ProblemSet
+from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Pairs, Random, Route, Source
 from mapdata.search.lattice import HARD
 
@@ -11,4 +12,5 @@ __all__ = [
     "Random",
     "Route",
     "Source",
+    "sample_problems",
 ]

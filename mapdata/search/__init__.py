@@ -14,7 +14,7 @@ from mapdata.search.api import (
 )
 from mapdata.search.footprint import clearance, inflate, inflate_terrain
 from mapdata.search.labels import Labels, RouteLabels, label
-from mapdata.search.lattice import hardness
+from mapdata.search.lattice import hardness, move_rule
 from mapdata.search.taut import lines_are_free, pull_taut, to_metres
 
 __all__ = [
@@ -34,6 +34,7 @@ __all__ = [
     "inflate_terrain",
     "label",
     "lines_are_free",
+    "move_rule",
     "pull_taut",
     "search_batch",
     "terrain_from_costs",

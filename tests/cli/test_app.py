@@ -302,11 +302,11 @@ def test_conditions_that_no_map_meets_are_printed_as_they_are_given(
     run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Not as an object of Python."""
-    monkeypatch.setattr("mapdata.datasets.dataset.MAX_FAILED_DRAWS", 1000)
-    arguments = ["--format", "arrays", "--split", "val", "--count", 1, "--length", "4000:"]
+    monkeypatch.setattr("mapdata.problems.substitutes.MAX_CELLS", 32 * 225 * 30)
+    arguments = ["--format", "arrays", "--split", "val", "--count", 1, "--length", "200:"]
     outcome = run("export", "maze15", tmp_path / "out", *arguments)
     assert outcome.code == 2
-    message = 'problems: got {"random": {"length": [4000.0, null]}}: none on one map after another'
+    message = 'problems: got {"random": {"length": [200.0, null]}}: none on one map after another'
     assert message in outcome.err.splitlines()[-1]
 
 
@@ -783,7 +783,7 @@ def test_a_recipe_of_an_unfinished_dataset_is_true(
         ("unknown flag --shard-sise; did you mean --shard-size?", ["--shard-sise", "3"]),
         ("unknown flag --preste; did you mean --preset?", ["--preste=narrow"]),
         ("unknown flag --see; did you mean --seed?", ["--see", "3"]),
-        ("forest, noise, terrain, tiles; did you mean dungeon?", ["--preset", "dungoen"]),
+        ("forest, noise, noise30, terrain, tiles; did you mean dungeon?", ["--preset", "dungoen"]),
     ],
 )
 def test_bad_flags_of_build_are_refused_in_one_line(
@@ -833,7 +833,8 @@ def test_bad_flags_of_build_are_refused_in_one_line(
         ("movement: unknown key: wings", {"movement": {"wings": 2}}),
         (
             "generator: the family 'mazes' is not known here; import its module (--import MODULE "
-            "in a command, import MODULE in Python); known are rooms, maze, cave, forest, terrain; "
+            "in a command, import MODULE in Python); known are rooms, maze, cave, forest, "
+            "random_walls, terrain; "
             "did you mean maze?",
             {"generator": "mazes"},
         ),

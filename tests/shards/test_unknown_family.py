@@ -42,7 +42,8 @@ from mapdata.shards.reader import map_shard
 
 NOT_KNOWN = re.escape(
     "the family 'pillars' is not known here; import its module (--import MODULE in a command, "
-    "import MODULE in Python); known are rooms, maze, cave, forest, terrain"
+    "import MODULE in Python); known are rooms, maze, cave, forest, "
+    "random_walls, terrain"
 )
 RECIPE = {"spec": {"generator": "pillars", "gaps": [2, 4]}, "seed": 3, "maps": 10}
 
