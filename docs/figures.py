@@ -312,22 +312,26 @@ SHOWN = {"paper": (9, 19), "narrow": (28, 20)}
 """Numbers of the maps that show a preset well; of most presets any do."""
 
 
-def families(columns: int = 6) -> Figure:
+def families(columns: int = 7) -> Figure:
     """Show two maps of each preset."""
     rows = -(-len(PRESETS) // columns)
     figure, axes = new_figure(rows, columns, (1.55 * columns, 3.3 * rows))
-    for ax, name in zip(axes, PRESETS, strict=True):
+    for ax in axes[len(PRESETS) :]:
+        ax.set_axis_off()
+    for ax, name in zip(axes, PRESETS, strict=False):
         pair = [picture(name, index) for index in SHOWN.get(name, (0, 1))]
         ax.imshow(mosaic(pair, 1), interpolation="nearest")
         bare(ax, f"{name}\n{' x '.join(map(str, PRESETS[name].map_size))}")
     return figure
 
 
-def presets(columns: int = 6) -> Figure:
+def presets(columns: int = 7) -> Figure:
     """Show one map of each preset."""
     rows = -(-len(PRESETS) // columns)
     figure, axes = new_figure(rows, columns, (1.55 * columns, 1.75 * rows))
-    for ax, name in zip(axes, PRESETS, strict=True):
+    for ax in axes[len(PRESETS) :]:
+        ax.set_axis_off()
+    for ax, name in zip(axes, PRESETS, strict=False):
         ax.imshow(picture(name, SHOWN.get(name, (1,))[0]), interpolation="nearest")
         bare(ax, name)
     return figure

@@ -44,7 +44,7 @@ def export_command(
     warcraft accept maps with terrain.
 
     Examples:
-      mapdata export maze data/hrm --format hrm --length 111: --count 1000
+      mapdata export noise30 data/hrm --format hrm --length 110: --count 1000
       mapdata export dungeon data/set --format arrays --problems random --count 10000
       mapdata export tiles data/tiles --format warcraft --count 1000
       mapdata export data/maps data/hub --format parquet --licence cc-by-4.0
