@@ -168,16 +168,15 @@ def check_number(name: str, value: object) -> float:
     raise ValueError(f"{name}: got {value!r}, expected a number")
 
 
-def check_finite(name: str, value: object, *, positive: bool = False) -> float:
-    """Return ``value`` as a finite float of at least 0, with ``positive`` above 0.
+def check_finite(name: str, value: object) -> float:
+    """Return ``value`` as a finite float of at least 0.
 
     Raises:
         ValueError: it is no such number.
     """
     number = check_number(name, value)
-    if not 0 <= number < math.inf or (positive and number == 0):
-        expected = "above 0" if positive else "of at least 0"
-        raise ValueError(f"{name}: got {number}, expected a finite number {expected}")
+    if not 0 <= number < math.inf:
+        raise ValueError(f"{name}: got {number}, expected a finite number of at least 0")
     return number
 
 

@@ -70,8 +70,8 @@ class Model(pl.LightningModule, ABC):
     """The pretrained weights: their files in `WEIGHTS`, by name; the first is the default."""
 
     def _check_learning_rate(self) -> None:
-        """Refuse a learning rate that is not a number above 0."""
-        check_finite("learning_rate", self.hparams["learning_rate"], positive=True)
+        """Refuse a learning rate that is not a finite number of at least 0, as torch does."""
+        check_finite("learning_rate", self.hparams["learning_rate"])
 
     @abstractmethod
     def losses(self, batch: Any) -> Tensors:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -99,30 +101,43 @@ class LayoutWriter:
         """
         if self._layout.check is not None:
             self._layout.check(columns, self._movement)
-        for array in self._layout.arrays:
-            rows = array.rows(columns, self._movement)
-            name = self._file_name(split, array)
-            if name not in self._arrays:
-                file = self._folder / name
-                self._arrays[name] = GrowingArray(file, np.dtype(array.dtype), rows.shape[1:])
-            self._arrays[name].append(rows)
+        with self._naming_the_archive():
+            for array in self._layout.arrays:
+                rows = array.rows(columns, self._movement)
+                name = self._file_name(split, array)
+                if name not in self._arrays:
+                    file = self._folder / name
+                    self._arrays[name] = GrowingArray(file, np.dtype(array.dtype), rows.shape[1:])
+                self._arrays[name].append(rows)
 
     def finish(self, counts: dict[str, int], map_size: Size) -> dict[str, Any]:
         """Complete all files; return dtype, shape and checksum of each, by its name."""
-        for array in self._arrays.values():
-            array.close()
+        with self._naming_the_archive():
+            for array in self._arrays.values():
+                array.close()
+            if self._layout.archive:
+                return self._pack()
         if self._layout.write_index is not None:
             for split, count in counts.items():
                 folder = self._folder / self._layout.splits[split]
                 self._layout.write_index(folder, count, map_size)
-        if self._layout.archive:
-            return self._pack()
         return {name: array.describe() for name, array in self._arrays.items()}
 
     def abort(self) -> None:
         """Close all files after an error."""
         for array in self._arrays.values():
             array.abort()
+
+    @contextmanager
+    def _naming_the_archive(self) -> Iterator[None]:
+        """Let errors of the files that go into an archive name the archive."""
+        try:
+            yield
+        except OSError as error:
+            if not self._layout.archive:
+                raise
+            archive = str(self._folder / self._layout.archive)
+            raise OSError(error.errno, error.strerror, archive) from None
 
     def _file_name(self, split: str, array: LayoutArray) -> str:
         """Return the name of the file of an array of a split, below the folder."""

@@ -36,10 +36,7 @@ SMALL: dict[type[Model], dict[str, Any]] = {
 @pytest.mark.parametrize(
     ("model_class", "option", "values"),
     [
-        *(
-            (model_class, "learning_rate", (0, -1, math.nan, math.inf, "1"))
-            for model_class in MODELS
-        ),
+        *((model_class, "learning_rate", (-1, math.nan, math.inf, "1")) for model_class in MODELS),
         (CostPredictor, "pixels", (4, 6, 8.5)),
         (CostPredictor, "width", (0, -2, 2.5)),
         (CostPredictor, "parts", (-1, 0.5)),
