@@ -11,8 +11,8 @@ where it gives the cell, or the move that leads there, a probability of at most 
 the latest comes first. So a network that expects a path everywhere leaves A* as it is. The penalty
 is chosen for each network on validation problems of ``paper``.
 
-With ``--device cuda`` it takes minutes, on one core of a processor some hours. ``--weights FOLDER``
-keeps the trained networks, and takes those that are there.
+With ``--device cuda`` it takes a quarter of an hour, on one core of a processor hours. ``--weights
+FOLDER`` keeps the trained networks, and takes those that are there.
 """
 
 from __future__ import annotations
