@@ -14,6 +14,7 @@ from mapdata._version import __version__
 if TYPE_CHECKING:
     from mapdata.datasets import MapDataModule as MapDataModule
     from mapdata.datasets import MapDataset as MapDataset
+    from mapdata.datasets import MazeImage as MazeImage
     from mapdata.datasets import OnlineMapDataset as OnlineMapDataset
     from mapdata.datasets import ProblemSetDataset as ProblemSetDataset
     from mapdata.datasets import Sample as Sample
@@ -65,6 +66,7 @@ _FACES = {
     "datasets": (
         "MapDataModule",
         "MapDataset",
+        "MazeImage",
         "OnlineMapDataset",
         "ProblemSetDataset",
         "Sample",

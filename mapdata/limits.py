@@ -49,6 +49,7 @@ MAPS_AND_MASKS = (
     "free",
     "terrain",
     "image",
+    "maze_image",
     "path_mask",
     "start_mask",
     "goal_mask",

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mapdata.datasets.dataset import DRAWS, MapDataset
-from mapdata.datasets.fields import FIELDS, Batch, Waypoints
+from mapdata.datasets.fields import FIELDS, Batch, MazeImage, Waypoints
 from mapdata.datasets.info import DatasetInfo, FieldInfo
 from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.problem_set_dataset import ProblemSetDataset
@@ -32,6 +32,7 @@ __all__ = [
     "LateLoader",
     "MapDataModule",
     "MapDataset",
+    "MazeImage",
     "OnlineMapDataset",
     "ProblemSetDataset",
     "Sample",

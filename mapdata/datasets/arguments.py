@@ -18,7 +18,7 @@ from mapdata.checks import (
     items_of,
     known_values,
 )
-from mapdata.datasets.fields import FIELDS, Waypoints
+from mapdata.datasets.fields import FIELD_CLASSES, FIELDS, MazeImage, Waypoints
 from mapdata.datasets.sample import Sample
 from mapdata.datasets.tiles import Tiles
 from mapdata.datasets.transforms import check_transform
@@ -28,8 +28,8 @@ from mapdata.problems.sources import Route, Source, plain_text
 from mapdata.search.api import SEARCHES
 from mapdata.search.footprint import min_squared_clearance
 
-FieldFunction = Callable[[Sample], Any] | Waypoints | Tiles
-"""A field without a name of `FIELDS`: a function of the user, `Waypoints` or `Tiles`.
+FieldFunction = Callable[[Sample], Any] | Waypoints | Tiles | MazeImage
+"""A field that is no name of `FIELDS`: a function of the user, or one of `FIELD_CLASSES`.
 
 A function takes the batch so far and returns an array or a tensor.
 """
@@ -120,12 +120,12 @@ class Serving:
             )
         for field in self.fields:
             # A class can be called, so it would be taken for a function of the batch.
-            for field_class, name in ((Tiles, "image"), (Waypoints, "waypoints")):
-                if isinstance(field, type) and issubclass(field, field_class):
-                    raise ValueError(
-                        f"fields: got the class {field_class.__name__}, expected an instance such "
-                        f"as {field_class.__name__}(), or the name {name!r}"
-                    )
+            if isinstance(field, type) and issubclass(field, FIELD_CLASSES):
+                instance: Any = field()
+                raise ValueError(
+                    f"fields: got the class {field.__name__}, expected an instance such as "
+                    f"{field.__name__}(), or the name {instance.__name__!r}"
+                )
             if not callable(field) and field not in list(FIELDS):
                 raise ValueError(
                     f"fields: got {field!r}, expected a function or one of "

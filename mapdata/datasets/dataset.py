@@ -30,6 +30,7 @@ from mapdata.datasets.arguments import (
 )
 from mapdata.datasets.batches import BatchReader, stored_counts
 from mapdata.datasets.fields import (
+    FIELD_CLASSES,
     FIELDS,
     NO_TAUT_LINES,
     Batch,
@@ -37,7 +38,6 @@ from mapdata.datasets.fields import (
     Paths,
     Rooms,
     StoredMaps,
-    Waypoints,
     divided_lines,
     room_matrices,
     terrain_room_matrices,
@@ -46,7 +46,6 @@ from mapdata.datasets.info import DatasetInfo, field_infos
 from mapdata.datasets.problem_statistics import SAMPLE, measure
 from mapdata.datasets.repeats import RepeatWatch, warn_of_repeats
 from mapdata.datasets.sample import Rows, Sample, cast, row, sample_class, stack
-from mapdata.datasets.tiles import Tiles
 from mapdata.describe.dataset_card import movement_text
 from mapdata.describe.problem_statistics import ProblemStatistics
 from mapdata.generators.generator import unknown_family
@@ -432,7 +431,7 @@ class ProblemDataset(Dataset[Sample], ABC):
         """Return fields of a batch; a function gets the fields before it."""
         tensors: list[Tensor] = []
         for field in fields:
-            if isinstance(field, (str, Waypoints, Tiles)):
+            if isinstance(field, (str, *FIELD_CLASSES)):
                 compute = FIELDS[field] if isinstance(field, str) else field
                 array = np.ascontiguousarray(compute(batch))
                 tensors.append(torch.from_numpy(array))

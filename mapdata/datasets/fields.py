@@ -550,6 +550,66 @@ def image(batch: Batch) -> Bytes:
     return Tiles()(batch)
 
 
+OCCUPIED_COLOUR, FREE_COLOUR = (0, 0, 0), (255, 255, 255)
+START_COLOUR, GOAL_COLOUR, PATH_COLOUR = (255, 0, 0), (0, 255, 0), (0, 0, 255)
+"""The colours of the cells in ``maze_image``: red, green, blue."""
+
+MAX_PIXELS_PER_CELL = 32
+
+
+@dataclass(frozen=True)
+class MazeImage:
+    """The field ``maze_image``, with cells of several pixels or with the path.
+
+    It stands among the names in ``fields=``: ``fields=("map", MazeImage(path=True))``.
+
+    Attributes:
+        pixels: k, pixels on a side of a cell, 1 to 32.
+        path: True draws the cells of the served path between start and goal in blue.
+    """
+
+    pixels: int = 1
+    path: bool = False
+
+    __name__: ClassVar[str] = "maze_image"
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        pixels = check_count("pixels", self.pixels, minimum=1)
+        if pixels > MAX_PIXELS_PER_CELL:
+            raise ValueError(f"pixels: got {pixels}, expected at most {MAX_PIXELS_PER_CELL}")
+        object.__setattr__(self, "pixels", pixels)
+        check_flag("path", self.path)
+
+    def __call__(self, batch: Batch) -> Bytes:
+        """Return the pictures, (B, 3, k * H, k * W) uint8."""
+        colours = np.array((FREE_COLOUR, OCCUPIED_COLOUR), np.uint8)
+        # The channels come last until the end, so that a cell is assigned its colour.
+        pictures = colours[batch.grids]
+        maps = np.arange(len(pictures))
+        if self.path:
+            cells, offsets, _ = batch.paths
+            rows, columns = cells.T
+            pictures[np.repeat(maps, np.diff(offsets)), rows, columns] = PATH_COLOUR
+        pictures[maps, batch.goals[:, 0], batch.goals[:, 1]] = GOAL_COLOUR
+        pictures[maps, batch.starts[:, 0], batch.starts[:, 1]] = START_COLOUR
+        channels_first = pictures.transpose(0, 3, 1, 2)
+        return channels_first.repeat(self.pixels, axis=2).repeat(self.pixels, axis=3)
+
+
+def maze_image(batch: Batch) -> Bytes:
+    """``maze_image``: (B, 3, k * H, k * W) uint8, the problem as a picture, red, green and blue.
+
+    Occupied cells are black, free cells white, the start is red and the goal green; a start that is
+    the goal is red. k is 1. A `MazeImage` sets k, and draws the path in blue. The map is that of
+    ``map``: turned, reflected and inflated by the radius. Costs of terrain are not drawn.
+    """
+    return MazeImage()(batch)
+
+
+FIELD_CLASSES = (Waypoints, Tiles, MazeImage)
+"""The classes of fields with options; an object of them stands among the names of fields."""
+
 Field = Callable[[Batch], Array]
 
 FIELDS: dict[str, Field] = {
@@ -581,6 +641,7 @@ FIELDS: dict[str, Field] = {
         symmetry,
         waypoints,
         image,
+        maze_image,
     )
 }
 """All fields by name."""

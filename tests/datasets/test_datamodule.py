@@ -450,6 +450,7 @@ def test_what_is_cast_on_the_device(root: str) -> None:
     }
     assert cast == {
         "image",
+        "maze_image",
         "map",
         "free",
         "terrain",

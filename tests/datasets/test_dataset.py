@@ -621,11 +621,12 @@ def test_an_augmented_sample_is_a_symmetry_of_the_plain_one(
             np.testing.assert_array_equal(turned["optimal_moves"][0], expected)
             expected = turned_points(sample["waypoints"], code, shape)
             np.testing.assert_array_equal(turned["waypoints"], expected)
-            for channel, turned_channel in zip(sample["image"], turned["image"], strict=True):
-                np.testing.assert_array_equal(turned_channel, turned_grid(channel, code))
+            for field in ("image", "maze_image"):
+                for channel, turned_channel in zip(sample[field], turned[field], strict=True):
+                    np.testing.assert_array_equal(turned_channel, turned_grid(channel, code))
     assert codes == set(range(last_code + 1))
     checked = {*GRID_FIELDS, *CELL_FIELDS, *UNTURNED_FIELDS}
-    others = {"optimal_moves", "waypoints", "image", "symmetry"}
+    others = {"optimal_moves", "waypoints", "image", "maze_image", "symmetry"}
     assert checked | others == {*samples.ALL_FIELDS}
 
 
@@ -1205,9 +1206,10 @@ def test_dtype_is_that_of_maps_and_masks_alone(root: str, dtype: torch.dtype) ->
     ):
         for index in (3, slice(2, 9)):
             found, expected = dataset[index], plain[index]
-            samples.assert_same(found, expected, without=(*GRIDS, "image"))
-            # A cast to bool keeps no grey values, so the cast image is compared.
+            samples.assert_same(found, expected, without=(*GRIDS, "image", "maze_image"))
+            # A cast to bool keeps no grey values, so the cast images are compared.
             assert torch.equal(found.image, expected.image.to(dtype))
+            assert torch.equal(found.maze_image, expected.maze_image.to(dtype))
             for name in GRIDS:
                 assert getattr(found, name).dtype == dtype
                 assert torch.equal(getattr(found, name).to(torch.uint8), getattr(expected, name))

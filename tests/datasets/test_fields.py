@@ -335,6 +335,7 @@ TABLE: dict[str, tuple[tuple[int, ...], torch.dtype]] = {
     "symmetry": ((B,), torch.int64),
     "waypoints": ((B, 32, 2), torch.float32),
     "image": ((B, 3, 8 * H, 8 * W), torch.uint8),
+    "maze_image": ((B, 3, H, W), torch.uint8),
 }
 """The design's table; `path` is apart."""
 

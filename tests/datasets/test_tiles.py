@@ -20,6 +20,7 @@ from torch import nn
 from mapdata import (
     Forest,
     MapDataset,
+    MazeImage,
     OnlineMapDataset,
     Random,
     Terrain,
@@ -377,7 +378,9 @@ def test_options_out_of_range_are_refused(options: dict[str, Any], message: str)
         Tiles(**options)
 
 
-@pytest.mark.parametrize(("field_class", "name"), [(Tiles, "image"), (Waypoints, "waypoints")])
+@pytest.mark.parametrize(
+    ("field_class", "name"), [(Tiles, "image"), (Waypoints, "waypoints"), (MazeImage, "maze_image")]
+)
 def test_a_class_of_fields_without_parentheses_is_refused(field_class: Any, name: str) -> None:
     """A class can be called, too, but it is no function of the batch."""
     with pytest.raises(ValueError, match=rf"fields: got the class .* or the name '{name}'"):
