@@ -1036,20 +1036,31 @@ class MapDataset(SampledProblemDataset):
             matching.append(numbers[is_match])
         return np.concatenate(matching)
 
-    def table(self) -> pd.DataFrame:
+    def table(self, columns: Sequence[str] | None = None) -> pd.DataFrame:
         """Return a table of the maps of this split: the paper's items, and ours (docs/paper.md).
 
         Maps, paths, matrices and what is reachable are as stored, whatever movement and radius are
         served.
+
+        Args:
+            columns: names of the columns, in this order, such as ``["item", "rooms"]``; None for
+                all of them. Only these are computed. Columns of one number a map, such as "rooms",
+                take a hundredth of the time of those of paths and matrices.
+
+        Raises:
+            ValueError: there is no column of a name, or a name is given twice.
         """
         import pandas as pd
 
-        from mapdata.describe.table import map_rows
+        from mapdata.describe.table import table_columns
 
-        rows = []
+        table: dict[str, list[Any]] = {}
         for k, (_, first_map, entry) in enumerate(self.reader.shards):
-            rows += map_rows(self.reader.open(k), self.split, entry.maps, first_map)
-        return pd.DataFrame(rows)
+            shard = self.reader.open(k)
+            of_shard = table_columns(shard, self.split, entry.maps, first_map, columns)
+            for name, values in of_shard.items():
+                table.setdefault(name, []).extend(values)
+        return pd.DataFrame(table)
 
     def _problems(self, indices: Ints, epoch: int) -> Batch:
         numbers = indices if self._selected is None else self._selected[indices]

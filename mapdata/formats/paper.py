@@ -49,7 +49,7 @@ from PIL import Image
 
 from mapdata.arrays import Array, Flags, Ints
 from mapdata.checks import check_resolution
-from mapdata.describe.table import map_row
+from mapdata.describe.table import map_columns
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import (
     LIMITS,
@@ -114,15 +114,15 @@ def write(target: Path, root: Root, progress: bool) -> list[str]:
         table = csv.writer(file, lineterminator="\n")
         for labels in root.labels(progress=progress):
             movement = canonical_json(asdict(labels.maps.movement))
-            for k, grid in enumerate(labels.maps.occupancy):
-                row = map_row(labels, k, root.resolution) | {"movement": movement}
+            columns = map_columns(labels, np.arange(len(labels.maps)), root.resolution)
+            if file.tell() == 0:
+                table.writerow([*columns, "movement"])
+            for name, grid in zip(columns["label"], labels.maps.occupancy, strict=True):
                 image = Image.fromarray(grid.view(np.bool_))  # bool gives a PNG of 1 bit a pixel
-                write_picture(target / "images" / f"{row['label']}.png", image)
-                if file.tell() == 0:
-                    table.writerow(row.keys())
-                table.writerow(
-                    cell if isinstance(cell, str) else json.dumps(cell) for cell in row.values()
-                )
+                write_picture(target / "images" / f"{name}.png", image)
+            for row in zip(*columns.values(), strict=True):
+                cells = [cell if isinstance(cell, str) else json.dumps(cell) for cell in row]
+                table.writerow([*cells, movement])
     return []
 
 
@@ -330,8 +330,10 @@ def _parse_array(text: str) -> Array:
 
 def _differing_labels(stated_labels: dict[str, str], labels: Labels, k: int) -> list[str]:
     """Return the names of the columns that disagree with our labels of map ``k``."""
-    our_row = map_row(labels, k, resolution=0.0)
-    return [name for name, text in stated_labels.items() if not _holds_numbers(text, our_row[name])]
+    columns = map_columns(labels, np.array([k]), resolution=0.0, names=tuple(stated_labels))
+    return [
+        name for name, text in stated_labels.items() if not _holds_numbers(text, columns[name][0])
+    ]
 
 
 def _holds_numbers(text: str, expected: ArrayLike) -> bool:

@@ -808,6 +808,24 @@ def test_the_table_has_a_row_for_each_map(roots: dict[str, str]) -> None:
         assert val["item"].tolist() == np.flatnonzero(maps.split == 1).tolist()
 
 
+def test_a_table_has_the_columns_that_are_asked_for(root: str) -> None:
+    """In their order, with the values of the whole table; also for a split without maps."""
+    whole = MapDataset(root).table()
+    for names in (
+        ["rooms", "item"],
+        ["astar iterations", "all connected", "split"],
+        [*whole][::-1],
+    ):
+        table = MapDataset(root).table(columns=names)
+        assert list(table) == names
+        assert table.equals(whole[names])
+    assert list(MapDataset(root).filter(rooms=(99, 99)).table(["item"])) == ["item"]
+    with pytest.raises(ValueError, match="columns: got 'passage width', expected one of"):
+        MapDataset(root).table(columns=["passage width"])
+    with pytest.raises(ValueError, match="each name once"):
+        MapDataset(root).table(columns=["item", "item"])
+
+
 def joined(route: list[npt.NDArray[np.int64]]) -> list[tuple[int, ...]]:
     """Join segments into one path; the cell in which two of them meet stands once."""
     path: list[tuple[int, ...]] = []
