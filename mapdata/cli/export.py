@@ -31,6 +31,7 @@ def export_command(
     max_length: int | None = None,
     seed: int | None = None,
     sampling_seed: int = 0,
+    distinct: bool = False,
     licence: str | None = None,
     follow_links: bool = False,
     **options: Any,
@@ -72,6 +73,8 @@ def export_command(
         max_length: number of cells to which paths are padded; for arrays only
         seed: seed of the maps of a preset or recipe
         sampling_seed: seed of random problems and of --augment
+        distinct: leave out the problems on copies of earlier maps of any split, also turned and
+            reflected ones
         licence: licence for the card of parquet, as the Hugging Face Hub spells it
         follow_links: read files of the dataset that are links out of their folder
         **options: those of the formats of maps
@@ -96,6 +99,7 @@ def export_command(
         "max_length": max_length,
         "seed": seed,
         "sampling_seed": sampling_seed,
+        "distinct": distinct,
         "licence": licence,
     }
     if name in PROBLEM_FORMATS:
@@ -167,7 +171,13 @@ def _refuse_problem_flags(name: str, arguments: dict[str, Any]) -> None:
     Raises:
         ValueError: the message names the first flag.
     """
-    defaults = {"search": "astar", "radius": 0.0, "augment": False, "sampling_seed": 0}
+    defaults = {
+        "search": "astar",
+        "radius": 0.0,
+        "augment": False,
+        "sampling_seed": 0,
+        "distinct": False,
+    }
     for argument, setting in arguments.items():
         if setting != defaults.get(argument):
             flag = "connectivity" if argument == "movement" else argument.replace("_", "-")

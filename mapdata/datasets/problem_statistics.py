@@ -71,22 +71,25 @@ class _Measured:
     symmetric_digests: Array
 
 
-def measure(dataset: Problems, sample: int = SAMPLE, count: int | None = None) -> ProblemStatistics:
-    """Return the statistics of the first ``count`` problems of a dataset.
+def measure(
+    dataset: Problems, sample: int = SAMPLE, numbers: Ints | None = None
+) -> ProblemStatistics:
+    """Return the statistics of some problems of a dataset.
 
     Args:
         dataset: the dataset.
         sample: as `MapDataset.problem_statistics` takes it.
-        count: problem i is number ``i % len(dataset)`` of epoch ``i // len(dataset)``; by default
-            all problems of epoch 0.
+        numbers: (N,) the problems: number i is problem ``i % len(dataset)`` of epoch ``i //
+            len(dataset)``; by default all problems of epoch 0.
 
     Raises:
         ValueError: ``sample`` is less than one.
     """
-    if count is None:
-        count = len(dataset)
+    if numbers is None:
+        numbers = np.arange(len(dataset))
+    count = len(numbers)
     rows, columns = dataset.map_size
-    numbers = spread_numbers(count, sample_size(sample, rows * columns))
+    numbers = numbers[spread_numbers(count, sample_size(sample, rows * columns))]
     parts = [_measured_batch(dataset, *batch) for batch in _batches(numbers, dataset)]
     # An empty part gives the arrays of a dataset without problems their types.
     none = np.empty(0, np.int64)
@@ -144,6 +147,12 @@ def _batches(numbers: Ints, dataset: Problems) -> Iterator[tuple[Ints, int]]:
             yield of_epoch[first : first + batch_size], epoch
 
 
+def map_digests(batch: Batch) -> tuple[list[bytes], list[bytes]]:
+    """Return two hashes of the stored map of each problem, as `digests_of`."""
+    maps = batch.stored_grids if batch.stored_terrain is None else batch.stored_terrain
+    return digests_of(maps, is_terrain=batch.has_terrain)
+
+
 def _measured_batch(dataset: Problems, indices: Ints, epoch: int) -> _Measured:
     """Return what is measured of problems ``indices`` of an epoch."""
     batch = dataset._problems(indices, epoch)
@@ -154,8 +163,7 @@ def _measured_batch(dataset: Problems, indices: Ints, epoch: int) -> _Measured:
     by_cost = batch.with_astar
     own_maps = dataset._own_maps(batch.problems)
     map_indices = batch.compute_map_indices()
-    maps = batch.stored_grids if batch.stored_terrain is None else batch.stored_terrain
-    exact, symmetric = digests_of(maps, is_terrain=batch.has_terrain)
+    exact, symmetric = map_digests(batch)
     return _Measured(
         hardness=hardness(by_cost.costs, batch.starts, batch.goals, batch.movement),
         path_counts=count_shortest_paths(optimal_moves, optimal_mask, batch.starts),

@@ -8,9 +8,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mapdata.datasets.fields import FIELDS
-from mapdata.describe.dataset_card import escaped, front_matter
+from mapdata.describe.dataset_card import escaped, front_matter, movement_text
 from mapdata.describe.problem_statistics import ProblemStatistics
 from mapdata.export.parquet import HUB_SPLITS
+from mapdata.movement import Movement
 
 
 def problem_card(
@@ -79,6 +80,12 @@ def problem_card(
         "```json",
         json.dumps({"origin": about["origin"], "options": about["options"]}, indent=1),
         "```",
+        "",
+        "## Licence",
+        "",
+        "None is stated, so others may not copy the problems." if licence is None else licence,
+        "",
+        *_limit_lines(about),
     ]
     return "\n".join(lines) + "\n"
 
@@ -97,6 +104,24 @@ def _statistics_lines(statistics: Mapping[str, ProblemStatistics]) -> list[str]:
         *(f"| {name} | {' | '.join(column[name] for column in columns)} |" for name in columns[0]),
         "",
     ]
+
+
+def _limit_lines(about: dict[str, Any]) -> list[str]:
+    """Return the section on what the problems do not cover."""
+    options = about["options"]
+    movement = Movement(**options["movement"])
+    lines = [
+        "- Paths are shortest under one rule of movement, and perhaps not under another one. The "
+        f"rule is {movement_text(movement)}.",
+        "- Obstacles do not move, and all cells are known.",
+    ]
+    if options["search"] == "bfs":
+        lines.append("- Shortest means the fewest moves here, not the least cost.")
+    if "recipe" in about["origin"]:
+        lines.append("- The maps were drawn by a program; none is the map of a real place.")
+    if not options["distinct"]:
+        lines.append("- Copies of maps were not left out, and a copy may be in another split.")
+    return ["## Known limits", "", *lines]
 
 
 def _meaning(field: str) -> str:

@@ -20,7 +20,7 @@ from mapdata.datasets.dataset import MapDataset, ProblemDataset, SampledProblemD
 from mapdata.datasets.fields import FIELDS
 from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.problem_set_dataset import ProblemSetDataset
-from mapdata.datasets.problem_statistics import measure
+from mapdata.datasets.problem_statistics import map_digests, measure
 from mapdata.describe.problem_statistics import ProblemStatistics
 from mapdata.describe.statistics import count_repeats, hash_grids
 from mapdata.export.about import CARD, write_about
@@ -55,8 +55,16 @@ _IMAGE_BATCH_CELLS = 2**18
 
 _MAX_BATCH = 4096
 
+_MIN_BATCH = 64
+"""Problems that are drawn at once to find some on distinct maps, however few are missing."""
+
 _MAX_COUNT = 10**8
 """Problems of a split; the numbers of so many maps take 1.6 GB."""
+
+_MAX_SPARE = 20
+_MAX_SPARE_MAPS = 10**6
+"""How many problems more than were asked for are drawn at most, to find some on distinct maps: 20
+times as many, and a million."""
 
 _FEW_MAPS = 0.9
 """There is a note if random problems are on less than this share of the maps that they could use.
@@ -85,6 +93,7 @@ def export_problems(
     max_length: int | None = None,
     seed: int | None = None,
     sampling_seed: int = 0,
+    distinct: bool = False,
     licence: str | None = None,
     follow_links: bool = False,
     progress: bool = False,
@@ -124,6 +133,9 @@ def export_problems(
             are drawn no longer than this; a longer path of other problems is an error.
         seed: of the maps of a recipe; default its own.
         sampling_seed: as in `MapDataset`.
+        distinct: leave out the problems on copies: on maps that equal an earlier map of any split
+            of the export, also turned or reflected. Several problems on one map are no copies. With
+            ``count``, further maps of a recipe take their places.
         licence: for the card of "parquet", an identifier of the Hugging Face Hub, such as
             "cc-by-4.0".
         follow_links: read files of a built dataset that are links out of their folder.
@@ -145,6 +157,7 @@ def export_problems(
             "rule no search is a part; expected none"
         )
     check_flag("augment", augment)
+    check_flag("distinct", distinct)
     problem_set = _problem_set(source)
     given = {"problems": problems, "seed": seed, "radius": radius or None}
     if movement is None:
@@ -170,7 +183,9 @@ def export_problems(
         source = problem_set
         split = split or "test"
     splits = _format_splits(format, split)
-    parts, origin = _open(source, options, splits, split, count, seed, follow_links)
+    parts, origin = _open(source, options, splits, split, count, seed, follow_links, distinct)
+    if distinct:
+        parts = _without_copies(parts, count)
     dataset = parts[0].dataset
     _check_terrain(format, dataset, search)
     if format in _MAZE_FORMATS:
@@ -185,7 +200,7 @@ def export_problems(
         counts = {part.split: part.count for part in parts}
         try:
             map_hashes, map_indices = _write(parts, writer, options.fields, max_batch, progress)
-            statistics = {part.split: measure(part.dataset, count=part.count) for part in parts}
+            statistics = {part.split: measure(part.dataset, numbers=part.numbers) for part in parts}
             files = writer.finish(counts, dataset.map_size)
         except BaseException:
             writer.abort()
@@ -194,7 +209,7 @@ def export_problems(
             "mapdata": __version__,
             "format": format,
             "origin": origin,
-            "options": options.plain(dataset),
+            "options": options.plain(dataset) | {"distinct": distinct},
             "problems": counts,
             "maps": {split: len(np.unique(map_indices[split])) for split in map_indices},
             "problem_statistics": {split: statistics[split].to_dict() for split in statistics},
@@ -215,7 +230,7 @@ def export_problems(
         *_count_notes(parts),
         *_map_notes(parts, map_indices),
         *_target_notes(options.fields, statistics),
-        *_copy_notes(map_hashes),
+        *_copy_notes(map_hashes, map_indices),
     ]
 
 
@@ -265,13 +280,18 @@ class _Part:
     Attributes:
         split: "train", "val" or "test".
         dataset: serves them.
-        count: how many are written. Problem i is number ``i % len(dataset)`` of epoch ``i //
+        numbers: (N,) ascending; number i is problem ``i % len(dataset)`` of epoch ``i //
             len(dataset)``.
     """
 
     split: str
     dataset: ProblemDataset
-    count: int
+    numbers: Ints
+
+    @property
+    def count(self) -> int:
+        """The number of problems."""
+        return len(self.numbers)
 
     def batches(self, max_batch: int) -> Iterator[Columns]:
         """Yield the fields of all problems, at most ``max_batch`` at a time."""
@@ -279,14 +299,25 @@ class _Part:
         has_image = "image" in self.dataset.serving.fields
         batch_cells = _IMAGE_BATCH_CELLS if has_image else _BATCH_CELLS
         batch_size = min(max(batch_cells // (rows * columns), 1), max_batch)
-        length = len(self.dataset)
-        first = 0
-        while first < self.count:
-            end_of_epoch = (first // length + 1) * length
-            last = min(first + batch_size, end_of_epoch, self.count)
-            batch = self.dataset.__getitems__(range(first, last)).batch
+        for numbers in _within_epochs(self.numbers, len(self.dataset), batch_size):
+            batch = self.dataset.__getitems__(numbers).batch
             yield {name: getattr(batch, name).numpy() for name in batch._fields}
-            first = last
+
+
+def _within_epochs(numbers: Ints, length: int, batch_size: int) -> Iterator[Ints]:
+    """Yield ascending numbers of problems, a batch of one epoch at a time.
+
+    Args:
+        numbers: (N,).
+        length: number of problems of an epoch.
+        batch_size: how many numbers a batch has at most.
+    """
+    first = 0
+    while first < len(numbers):
+        next_epoch = (numbers[first] // length + 1) * length
+        last = min(first + batch_size, int(np.searchsorted(numbers, next_epoch)))
+        yield numbers[first:last]
+        first = last
 
 
 def _format_fields(format: str, fields: Sequence[str] | None) -> tuple[str, ...]:  # noqa: A002
@@ -385,8 +416,12 @@ def _open(
     count: int | None,
     seed: int | None,
     follow_links: bool,
+    distinct: bool,
 ) -> tuple[list[_Part], dict[str, Any]]:
     """Open the datasets of the splits; return them and what the source is, as plain values.
+
+    With ``distinct`` and ``count``, a recipe gives more problems than ``count``, since some are
+    left out.
 
     Splits without problems are left out, unless the caller asked for this one.
     """
@@ -416,7 +451,8 @@ def _open(
         recipe = _source_recipe(source, seed)
         shares = dict(zip(SPLITS, recipe.generator.splits, strict=True))
         asked = [name for name in splits if shares[name] > 0 or name == split]
-        parts = [_online_part(recipe, options, name, count) for name in asked]
+        spare = min(_MAX_SPARE * count, _MAX_SPARE_MAPS) if distinct and count else 0
+        parts = [_online_part(recipe, options, name, count, spare) for name in asked]
         origin = {"recipe": recipe.to_dict()}
     written = [part for part in parts if part.count > 0]
     if not written:
@@ -430,14 +466,14 @@ def _stored_part(
     """Return the problems of a split of a built dataset."""
     dataset = MapDataset(source, split, follow_links=follow_links, **options.serving(split))
     if count is None or len(dataset) == 0:
-        return _Part(split, dataset, len(dataset))
+        return _Part(split, dataset, np.arange(len(dataset)))
     is_drawn_anew = isinstance(options.problems, Random) or dataset.serving.augment
     if count > len(dataset) and not is_drawn_anew:
         raise ValueError(
             f"count: got {count}, but the split {split!r} has {len(dataset)} problems; problems="
             '"random" draws as many as wanted'
         )
-    return _Part(split, dataset, count)
+    return _Part(split, dataset, np.arange(count))
 
 
 def _set_part(problem_set: ProblemSet, options: _Options, split: str, count: int | None) -> _Part:
@@ -452,7 +488,7 @@ def _set_part(problem_set: ProblemSet, options: _Options, split: str, count: int
     dataset = ProblemSetDataset(problem_set, **serving)
     if count is not None and count > len(dataset) and not dataset.serving.augment:
         raise ValueError(f"count: got {count}, but the problem set has {len(dataset)} problems")
-    return _Part(split, dataset, len(dataset) if count is None else count)
+    return _Part(split, dataset, np.arange(len(dataset) if count is None else count))
 
 
 def _problem_set(source: Any) -> ProblemSet | None:
@@ -508,17 +544,78 @@ def _check_set_options(
         raise ValueError("source: got a problem set without problems, expected at least one")
 
 
-def _online_part(recipe: Recipe, options: _Options, split: str, count: int | None) -> _Part:
-    """Return the problems of a split of maps that are made on the fly."""
+def _online_part(
+    recipe: Recipe, options: _Options, split: str, count: int | None, spare: int
+) -> _Part:
+    """Return the problems of a split of maps that are made on the fly, and some to spare."""
     if count is None:
         indices = maps_of_split(recipe.generator, recipe.seed, split, recipe.maps)
         count = int((indices < recipe.maps).sum()) * options.problems.per_map
         if count == 0:
             raise ValueError(f"split: none of the {recipe.maps} maps of the recipe is in {split!r}")
+    length = count + spare
     dataset = OnlineMapDataset(
-        recipe.generator, recipe.seed, count, split, **options.serving(split)
+        recipe.generator, recipe.seed, length, split, **options.serving(split)
     )
-    return _Part(split, dataset, count)
+    return _Part(split, dataset, np.arange(length))
+
+
+def _without_copies(parts: Sequence[_Part], count: int | None) -> list[_Part]:
+    """Return the parts without the problems on copies of earlier maps.
+
+    Args:
+        parts: the splits.
+        count: how many problems a split shall have; None for all that are left.
+
+    Raises:
+        ValueError: a split has fewer on maps that differ.
+    """
+    owners: dict[bytes, int] = {}
+    distinct_parts = []
+    for part in parts:
+        wanted = part.count if count is None else count
+        kept = np.empty(0, np.int64)
+        tried = 0
+        while len(kept) < wanted and tried < part.count:
+            # Few more problems are drawn than are wanted, since rare ones take long to draw.
+            batch_size = min(max(wanted - len(kept), _MIN_BATCH), _MAX_BATCH)
+            numbers = next(_within_epochs(part.numbers[tried:], len(part.dataset), batch_size))
+            found = _on_first_maps(part.dataset, numbers, owners, wanted - len(kept))
+            kept = np.concatenate((kept, found))
+            tried += len(numbers)
+        if count is not None and len(kept) < count:
+            raise ValueError(
+                f"distinct: {part.split} has only {len(kept):,} problems on maps that differ, "
+                f"turned and reflected ones too, among {part.count:,} problems; expected a count "
+                f"of at most {len(kept):,}, or larger maps"
+            )
+        distinct_parts.append(replace(part, numbers=kept))
+    return [part for part in distinct_parts if part.count > 0]
+
+
+def _on_first_maps(
+    dataset: ProblemDataset, numbers: Ints, owners: dict[bytes, int], wanted: int
+) -> Ints:
+    """Return the first ``wanted`` problems on maps that no earlier map equals.
+
+    Args:
+        dataset: the dataset of the problems.
+        numbers: (N,) numbers of problems of one epoch.
+        owners: the number of the first map with each hash; the maps of the problems that are
+            returned are added, and no others, which would make later maps copies.
+        wanted: how many problems are returned at most.
+    """
+    epoch = int(numbers[0]) // len(dataset)
+    batch = dataset._problems(numbers % len(dataset), epoch)
+    _, digests = map_digests(batch)
+    map_indices = batch.compute_map_indices().tolist()
+    found: list[int] = []
+    for number, digest, index in zip(numbers.tolist(), digests, map_indices, strict=True):
+        if len(found) == wanted:
+            break
+        if owners.setdefault(digest, index) == index:
+            found.append(number)
+    return np.array(found, np.int64)
 
 
 def _is_dataset(source: Locations | RecipeLike) -> bool:
@@ -623,9 +720,8 @@ def _write(
     """Write the fields of all problems of all splits, at most ``max_batch`` at a time.
 
     Returns:
-        The hashes of the maps, one for each problem, by split; without the splits whose files have
-        no maps, or no costs of maps with terrain, and empty for a single split. Then the numbers of
-        the maps, one for each problem, by split.
+        The hashes of the maps, one for each problem, by split; empty if the files have no maps, or
+        no costs of maps with terrain. Then the numbers of the maps, one for each problem, by split.
     """
     map_field = "terrain" if parts[0].dataset.has_terrain else "map"
     has_maps = map_field in parts[0].dataset.serving.fields
@@ -647,7 +743,7 @@ def _write(
                 indices_of_batches[part.split].append(served["map_index"])
                 columns = {name: served[name] for name in fields}
                 writer.write(part.split, columns)
-                if has_maps and len(parts) > 1:
+                if has_maps:
                     hashes = hash_grids(columns[map_field][:, 0], is_terrain=map_field == "terrain")
                     hashes_of_batches[part.split].append(np.array(hashes))
                 advance(len(next(iter(columns.values()))))
@@ -718,21 +814,32 @@ def _target_notes(
     return []
 
 
-def _copy_notes(map_hashes: Mapping[str, Array]) -> list[str]:
-    """Return notes on the problems of val and test whose maps are also in train.
+def _copy_notes(map_hashes: Mapping[str, Array], map_indices: Mapping[str, Ints]) -> list[str]:
+    """Return notes on problems whose maps are copies: in a split, and of maps in train.
 
     Args:
-        map_hashes: hashes of the maps, one for each problem, by split.
+        map_hashes: hashes of the maps, one for each problem, by split; or empty.
+        map_indices: numbers of the maps, one for each problem, by split.
     """
+    notes = []
+    for split, hashes in map_hashes.items():
+        numbers, first_problems = np.unique(map_indices[split], return_index=True)
+        different = len(np.unique(hashes[first_problems]))
+        if different < len(numbers):
+            notes.append(
+                f"{split}: of its {len(numbers):,} maps {different:,} differ, and the others are "
+                "copies of them; --distinct leaves out the problems on copies"
+            )
     if "train" not in map_hashes or len(map_hashes) == 1:
-        return []
+        return notes
     split_codes = [
         np.full(len(hashes), SPLITS.index(split), np.uint8) for split, hashes in map_hashes.items()
     ]
     repeats = count_repeats(np.concatenate(list(map_hashes.values())), np.concatenate(split_codes))
-    return [
+    notes += [
         f"{later}: {count:,} of {len(map_hashes[later]):,} problems are on maps that are also in "
-        "train, so a model saw these maps in training"
+        "train, so a model saw these maps in training; --distinct leaves them out"
         for (earlier, later), count in repeats.across.items()
         if earlier == "train" and count > 0
     ]
+    return notes

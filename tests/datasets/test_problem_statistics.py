@@ -279,7 +279,7 @@ def test_problems_beyond_an_epoch_are_those_of_the_next_one() -> None:
     dataset = OnlineMapDataset(NOISE, 5, 20, fields=FIELDS, problems="random")
     batches = [dataset.__getitems__([i])[0] for i in range(50)]
     truths = [truth_of(sample, dataset.movement, False) for sample in batches]
-    statistics = measure(dataset, count=50)
+    statistics = measure(dataset, numbers=np.arange(50))
     assert statistics.sample == 50
     ratios = [truth.cells_ratio for truth in truths if truth is not None]
     assert statistics.optimal_cells.value == pytest.approx(np.mean(ratios))

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from helpers import samples
 
-from mapdata import OnlineMapDataset
+from mapdata import Movement, OnlineMapDataset
 from mapdata.export import export_problems
 from mapdata.export.parquet import table_of
 
@@ -43,6 +44,23 @@ def test_columns_have_the_shapes_that_the_card_states(tmp_path: Path) -> None:
             axes += 1
         assert axes == len(stated), name
         assert str(kind) == NAMES[dtype], name
+
+
+def test_the_card_states_licence_and_limits(tmp_path: Path) -> None:
+    """What a track for datasets asks for, as far as the export knows it."""
+    pytest.importorskip("pyarrow")
+    arguments: dict[str, Any] = {"format": "parquet", "count": 1, "split": "val"}
+    export_problems(samples.SPEC, tmp_path / "plain", **arguments)
+    bfs = {**arguments, "search": "bfs", "distinct": True, "licence": "cc-by-4.0"}
+    export_problems(samples.SPEC, tmp_path / "bfs", **bfs, movement=Movement(8))
+    plain, of_bfs = ((tmp_path / name / "README.md").read_text() for name in ("plain", "bfs"))
+    assert "## Licence\n\nNone is stated" in plain
+    assert "## Licence\n\ncc-by-4.0\n" in of_bfs
+    assert "The rule is 4-connected" in plain
+    assert "The rule is 8-connected" in of_bfs
+    for card in (plain, of_bfs):
+        assert "none is the map of a real place" in card
+        assert ("fewest moves" in card, "Copies of maps" in card) == (card is of_bfs, card is plain)
 
 
 def test_the_name_of_the_folder_is_text(tmp_path: Path) -> None:

@@ -27,8 +27,8 @@ from mapdata import (
     Route,
     build,
 )
-from mapdata.arrays import Array
-from mapdata.export import LAYOUTS, PROBLEM_FORMATS, export_problems
+from mapdata.arrays import Array, Bytes
+from mapdata.export import LAYOUTS, PROBLEM_FORMATS, export_problems, verify_export
 from mapdata.export.growing_array import GrowingArray
 from mapdata.export.layouts import Columns
 from mapdata.export.parquet import ParquetWriter
@@ -183,7 +183,7 @@ def test_notes_count_the_problems_whose_maps_are_also_in_train(tmp_path: Path) -
         assert copies > 0
         assert (
             f"{split}: {copies} of 10 problems are on maps that are also in train, so a model saw "
-            "these maps in training"
+            "these maps in training; --distinct leaves them out"
         ) in notes
     for format_name in ("arrays", "maze-hard"):
         notes = export_problems(MAZE, tmp_path / format_name, format=format_name, count=10)
@@ -741,3 +741,78 @@ def test_writers_close_their_files(tmp_path: Path) -> None:
     parquet = ParquetWriter(tmp_path, {"train": 2}, (4, 4))
     parquet.write("train", {"map": np.zeros((2, 1, 4, 4), np.uint8)})
     parquet.abort()
+
+
+def test_notes_count_the_copies_within_a_split(tmp_path: Path) -> None:
+    """Of maps, not of problems: several problems of one map are no copies."""
+    notes = export_problems(Maze((9, 9)), tmp_path / "few", count=60, fields=("map",))
+    grids = [grid.tobytes() for grid in np.load(tmp_path / "few" / "train" / "map.npy")]
+    maps = about(tmp_path / "few")["maps"]["train"]
+    different = len(set(grids))
+    assert different < maps
+    assert (
+        f"train: of its {maps} maps {different} differ, and the others are copies of them; "
+        "--distinct leaves out the problems on copies"
+    ) in notes
+    notes = export_problems(MAZE, tmp_path / "many", problems="pairs", count=60, split="train")
+    assert not [note for note in notes if "copies" in note]
+
+
+def symmetric_key(grid: Bytes) -> bytes:
+    """Return a key that all turned and reflected images of a grid share."""
+    images = [np.rot90(image, turns) for image in (grid, grid.T) for turns in range(4)]
+    keys: list[bytes] = [image.tobytes() for image in images]
+    return min(keys)
+
+
+@pytest.mark.parametrize("augment", [False, True])
+def test_distinct_maps_differ_across_all_splits(tmp_path: Path, augment: bool) -> None:
+    """Also turned and reflected; the count is that asked for, on further maps."""
+    options: dict[str, Any] = {"fields": ("map", "start", "path"), "count": 30, "augment": augment}
+    plain, distinct = tmp_path / "plain", tmp_path / "distinct"
+    export_problems(Maze((9, 9)), plain, problems="random", **options)
+    notes = export_problems(Maze((9, 9)), distinct, problems="random", distinct=True, **options)
+    keys = {}
+    for folder in (plain, distinct):
+        grids = [np.load(folder / split / "map.npy")[:, 0] for split in SPLIT_COUNTS]
+        assert [len(of_split) for of_split in grids] == [30, 30, 30]
+        keys[folder] = [symmetric_key(grid) for of_split in grids for grid in of_split]
+    assert len(set(keys[plain])) < 90
+    assert len(set(keys[distinct])) == 90
+    assert not [note for note in notes if "copies" in note or "also in" in note]
+    assert (about(plain)["options"]["distinct"], about(distinct)["options"]["distinct"]) == (
+        False,
+        True,
+    )
+    assert verify_export(distinct) == []
+
+
+def test_distinct_keeps_the_problems_that_are_no_copies(tmp_path: Path) -> None:
+    """Of a built dataset those that are left, in their order, with all problems of their maps."""
+    first, second = random_grids(2, 12, 12)
+    grids = {"a": first, "b": second, "c": np.rot90(first).copy(), "d": second[::-1].copy()}
+    maps = [ForeignMap(name, grid, 0) for name, grid in grids.items()]
+    import_maps(tmp_path / "maps", Collection(maps), seed_points=3)
+    fields = ("map_index", "start", "goal")
+    export_problems(tmp_path / "maps", tmp_path / "all", fields=fields, problems="pairs")
+    export_problems(
+        tmp_path / "maps", tmp_path / "distinct", fields=fields, problems="pairs", distinct=True
+    )
+    numbers = np.load(tmp_path / "all/train/map_index.npy")
+    is_first = numbers < 2
+    assert 2 < is_first.sum() < len(numbers)
+    for name in fields:
+        every = np.load(tmp_path / "all/train" / f"{name}.npy")
+        np.testing.assert_array_equal(
+            np.load(tmp_path / "distinct/train" / f"{name}.npy"), every[is_first]
+        )
+
+
+def test_too_few_distinct_maps_are_an_error(tmp_path: Path) -> None:
+    """Perfect mazes of 7 x 7 cells: 14 maps, of which symmetries leave 6."""
+    with pytest.raises(ValueError, match="train has only 6 problems on maps that differ"):
+        export_problems(Maze((7, 7)), tmp_path / "out", count=7, problems="random", distinct=True)
+    assert not (tmp_path / "out").exists()
+    flag: Any = "yes"
+    with pytest.raises(ValueError, match="distinct: got 'yes', expected True or False"):
+        export_problems(Maze((7, 7)), tmp_path / "out", distinct=flag)
