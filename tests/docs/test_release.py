@@ -19,9 +19,11 @@ from typing import Any
 
 import pytest
 import yaml
-from helpers.pages import ROOT
+from helpers.pages import DOCS, ROOT
 
 import mapdata
+from mapdata import PRESETS
+from mapdata.cli.app import main
 
 UNRELEASED_FOLDERS = {
     ".git",
@@ -239,6 +241,8 @@ sys.meta_path[:] = [
     finder for finder in sys.meta_path if "editable" not in getattr(finder, "__module__", "")
 ]
 import mapdata
+from mapdata import PRESETS
+from mapdata.cli.app import main
 from mapdata.cli import main
 for name in mapdata.__all__:
     getattr(mapdata, name)
@@ -322,3 +326,23 @@ def test_the_changelog_knows_this_version() -> None:
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     sections = re.findall(r"^## \[(.*?)\]", changelog, re.MULTILINE)
     assert sections[:2] == ["Unreleased", mapdata.__version__]
+
+
+def test_the_three_sets_of_the_page_can_be_made(tmp_path: Path) -> None:
+    """Each command of the page with a count of two; the loop over presets with its first one."""
+    pytest.importorskip("pyarrow")
+    text = (DOCS / "howto" / "publish.md").read_text(encoding="utf-8")
+    section = text.partition("### Three sets")[2].partition("### ")[0]
+    (presets,) = re.findall(r"^    for preset in (.*); do$", section, re.MULTILINE)
+    assert set(presets.split()) <= set(PRESETS)
+    commands = re.findall(r"^ +mapdata (export .*)$", section, re.MULTILINE)
+    assert len(commands) == 3
+    for command in commands:
+        small = command.replace("--count 1000", "--count 2")
+        assert small != command
+        arguments = small.replace("$preset", presets.split()[0]).split()
+        arguments[2] = str(tmp_path / arguments[2].replace("/", "-"))
+        main(arguments)
+        card = (Path(arguments[2]) / "README.md").read_text(encoding="utf-8")
+        assert 'license: "cc-by-4.0"' in card
+        assert "## Known limits" in card
