@@ -25,10 +25,9 @@ from mapdata.describe.problem_statistics import ProblemStatistics
 from mapdata.describe.statistics import count_repeats, hash_grids
 from mapdata.export.about import CARD, write_about
 from mapdata.export.card import problem_card
-from mapdata.export.layouts import LAYOUTS, MAZE_FIELDS, Columns, Layout
-from mapdata.export.maze_text import MazeTextWriter
-from mapdata.export.parquet import ParquetWriter
-from mapdata.export.writers import ArrayWriter, LayoutWriter, Writer
+from mapdata.export.layouts import Columns
+from mapdata.export.problem_formats import FORMATS, ProblemFormat, WriterTarget
+from mapdata.export.writers import Writer
 from mapdata.formats.registry import read_problems
 from mapdata.generators.generator import PRESETS, MapGenerator
 from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe
@@ -72,9 +71,6 @@ _FEW_MAPS = 0.9
 
 _FEW_SINGLE_PATHS = 0.9
 """There is a note if less than this share of problems has one shortest path."""
-
-_MAZE_FORMATS = ("maze-hard", "hrm")
-"""The formats whose labels are the paths of maze-30x30-hard-1k's rule."""
 
 
 def export_problems(
@@ -150,21 +146,18 @@ def export_problems(
         ValueError: arguments that do not fit, or that would do nothing; a target that exists.
         OSError: the disk is full or may not be written to.
     """
-    _check_format_options(format, fields, licence, max_length)
-    if format in _MAZE_FORMATS and search != "astar":
-        raise ValueError(
-            f"search: got {search!r}, but {format} has the labels of maze-30x30-hard-1k, of whose "
-            "rule no search is a part; expected none"
-        )
+    check_choice("format", format, PROBLEM_FORMATS)
+    file_format = FORMATS[format]
+    _check_format_options(file_format, fields, licence, max_length, search)
     check_flag("augment", augment)
     check_flag("distinct", distinct)
     problem_set = _problem_set(source)
     given = {"problems": problems, "seed": seed, "radius": radius or None}
     if movement is None:
-        movement = _format_movement(format) if problem_set is None else problem_set.movement
+        movement = file_format.movement if problem_set is None else problem_set.movement
     options = _Options(
-        fields=_format_fields(format, fields),
-        problems=_format_problems(format, problems, max_length),
+        fields=_format_fields(file_format, fields),
+        problems=_format_problems(file_format, problems, max_length),
         search=search,
         movement=movement,
         radius=radius,
@@ -172,34 +165,40 @@ def export_problems(
         max_length=max_length,
         sampling_seed=sampling_seed,
     )
-    if options.problems.unsolvable and format not in ("arrays", "parquet"):
+    if options.problems.unsolvable and file_format.needs_paths:
         raise ValueError(
             f"problems: {format} needs a path of each problem, expected none with unsolvable=True"
         )
     if max_length is not None and "path" not in options.fields:
         raise ValueError("max_length: expected 'path' among the fields")
     if problem_set is not None:
-        _check_set_options(format, problem_set, options, split, given)
+        _check_set_options(file_format, problem_set, options, split, given)
         source = problem_set
         split = split or "test"
-    splits = _format_splits(format, split)
+    splits = _format_splits(file_format, split)
     parts, origin = _open(source, options, splits, split, count, seed, follow_links, distinct)
     if distinct:
         parts = _without_copies(parts, count)
     dataset = parts[0].dataset
-    _check_terrain(format, dataset, search)
-    if format in _MAZE_FORMATS:
+    _check_terrain(file_format, dataset, search)
+    if file_format.has_maze_labels:
         _check_square_and_straight(format, dataset)
+    if file_format.is_one_file:
+        _check_all_splits(file_format, parts)
     rows, columns = dataset.map_size
     if max_length is not None and max_length > rows * columns:
         raise ValueError(f"max_length: got {max_length}, but a map has only {rows * columns} cells")
     with new_output(local_path(target)) as folder:
         folder.mkdir()
-        writer = _writer(format, folder, options, parts)
-        max_batch = LAYOUTS[format].max_batch if format in LAYOUTS else _MAX_BATCH
         counts = {part.split: part.count for part in parts}
+        target_of_writer = WriterTarget(
+            folder, counts, dataset.map_size, dataset.movement, options.max_length
+        )
+        writer = file_format.new_writer(target_of_writer)
         try:
-            map_hashes, map_indices = _write(parts, writer, options.fields, max_batch, progress)
+            map_hashes, map_indices = _write(
+                parts, writer, options.fields, file_format.max_batch, progress
+            )
             statistics = {part.split: measure(part.dataset, numbers=part.numbers) for part in parts}
             files = writer.finish(counts, dataset.map_size)
         except BaseException:
@@ -217,7 +216,7 @@ def export_problems(
             "content_hash": json_hash(files),
         }
         write_about(folder, about)
-        if format == "parquet":
+        if file_format.has_card:
             card = problem_card(local_path(target).name, about, options.fields, statistics, licence)
             (folder / CARD).write_text(card, encoding="utf-8", newline="\n")
     default = f", the default of {format}" if problems is None else ""
@@ -320,12 +319,10 @@ def _within_epochs(numbers: Ints, length: int, batch_size: int) -> Iterator[Ints
         first = last
 
 
-def _format_fields(format: str, fields: Sequence[str] | None) -> tuple[str, ...]:  # noqa: A002
+def _format_fields(file_format: ProblemFormat, fields: Sequence[str] | None) -> tuple[str, ...]:
     """Return the fields that a format is made of."""
-    if format in LAYOUTS:
-        return LAYOUTS[format].fields
-    if format == "maze-hard":
-        return MAZE_FIELDS
+    if file_format.fields is not None:
+        return file_format.fields
     if fields is None:
         return DEFAULT_FIELDS
     for field in fields:
@@ -339,16 +336,11 @@ def _format_fields(format: str, fields: Sequence[str] | None) -> tuple[str, ...]
 
 
 def _format_problems(
-    format: str,  # noqa: A002
-    problems: SourceLike | None,
-    max_length: int | None,
+    file_format: ProblemFormat, problems: SourceLike | None, max_length: int | None
 ) -> Source:
     """Return which problems are written; random ones are drawn no longer than ``max_length``."""
     if problems is None:
-        layout = LAYOUTS.get(format)
-        problems = "random" if format == "maze-hard" else "route"
-        if layout is not None:
-            problems = layout.problems
+        problems = file_format.problems
     source = problem_source(problems)
     if max_length is not None and isinstance(source, Random):
         check_count("max_length", max_length)
@@ -358,53 +350,53 @@ def _format_problems(
     return source
 
 
-def _format_movement(format: str) -> Movement | None:  # noqa: A002
-    """Return the movement of a format's repository; None for that of the dataset."""
-    if format == "maze-hard":
-        return Movement(4)
-    return LAYOUTS[format].movement if format in LAYOUTS else None
-
-
 def _check_format_options(
-    format: str,  # noqa: A002
+    file_format: ProblemFormat,
     fields: Sequence[str] | None,
     licence: str | None,
     max_length: int | None,
+    search: str,
 ) -> None:
-    """Refuse an unknown format, and options that would do nothing for it.
+    """Refuse options that would do nothing for a format.
 
     Raises:
         ValueError: the message names the option.
     """
-    check_choice("format", format, PROBLEM_FORMATS)
-    if fields is not None and format not in ("arrays", "parquet"):
-        raise ValueError(f"fields: {format} has its own fields, expected none")
-    if licence is not None and format != "parquet":
-        raise ValueError(f"licence: {format} has no card to state it, expected none")
+    name = file_format.name
+    if fields is not None and file_format.fields is not None:
+        raise ValueError(f"fields: {name} has its own fields, expected none")
+    if licence is not None and not file_format.has_card:
+        raise ValueError(f"licence: {name} has no card to state it, expected none")
     if licence is not None and re.fullmatch(r"[a-z0-9][a-z0-9.+-]*", str(licence)) is None:
         raise ValueError(f"licence: got {licence!r}, expected a word of the Hub, such as cc-by-4.0")
-    if max_length is not None and format != "arrays":
+    if max_length is not None and not file_format.pads_paths:
         raise ValueError(
-            f"max_length: only arrays have rows to pad; for {format} give random problems a band "
+            f"max_length: only arrays have rows to pad; for {name} give random problems a band "
             f'of lengths, {{"random": {{"length": [null, {max_length}]}}}}'
+        )
+    if file_format.has_maze_labels and search != "astar":
+        raise ValueError(
+            f"search: got {search!r}, but {name} has the labels of maze-30x30-hard-1k, of whose "
+            "rule no search is a part; expected none"
         )
 
 
-def _format_splits(format: str, split: str | None) -> tuple[str, ...]:  # noqa: A002
+def _format_splits(file_format: ProblemFormat, split: str | None) -> tuple[str, ...]:
     """Return the splits to write: ``split``, or all that the format has a place for.
 
     Raises:
         ValueError: the format has no place for ``split``, or is one file of all splits.
     """
-    layout = LAYOUTS.get(format)
-    splits = SPLITS if layout is None else tuple(layout.splits)
+    splits = file_format.splits
     if split is None:
         return splits
     check_choice("split", split, SPLITS)
     if split not in splits:
-        raise ValueError(f"split: {format} has no place for {split!r}, only {', '.join(splits)}")
-    if layout is not None and layout.archive:
-        raise ValueError(f"split: {format} is one file of all splits, expected none")
+        raise ValueError(
+            f"split: {file_format.name} has no place for {split!r}, only {', '.join(splits)}"
+        )
+    if file_format.is_one_file:
+        raise ValueError(f"split: {file_format.name} is one file of all splits, expected none")
     return (split,)
 
 
@@ -507,7 +499,7 @@ def _problem_set(source: Any) -> ProblemSet | None:
 
 
 def _check_set_options(
-    format: str,  # noqa: A002
+    file_format: ProblemFormat,
     problem_set: ProblemSet,
     options: _Options,
     split: str | None,
@@ -516,7 +508,7 @@ def _check_set_options(
     """Refuse what does not fit a problem set, whose maps and problems are given.
 
     Args:
-        format: to write.
+        file_format: to write.
         problem_set: the problems.
         options: of the export.
         split: to write them as; None for "test".
@@ -535,10 +527,10 @@ def _check_set_options(
         )
     if options.augment and split != "train":
         raise ValueError("augment: changes training problems only, expected split='train'")
-    if format in LAYOUTS and LAYOUTS[format].archive:
+    if file_format.is_one_file:
         raise ValueError(
-            f"{format}: is one file of all splits, but a problem set is one split; expected "
-            "another format, or a dataset"
+            f"{file_format.name}: is one file of all splits, but a problem set is one split; "
+            "expected another format, or a dataset"
         )
     if len(problem_set) == 0:
         raise ValueError("source: got a problem set without problems, expected at least one")
@@ -657,30 +649,30 @@ def _dataset_origin(source: Locations, follow_links: bool) -> dict[str, Any]:
     }
 
 
-def _check_terrain(format: str, dataset: ProblemDataset, search: str) -> None:  # noqa: A002
+def _check_terrain(file_format: ProblemFormat, dataset: ProblemDataset, search: str) -> None:
     """Refuse maps with terrain for a format without costs of cells, and the other way round.
 
     Raises:
         ValueError: the format has no place for the costs, or needs them; or the paths are not the
             cheapest ones, which only A* finds.
     """
-    if format in ("arrays", "parquet"):
+    if file_format.has_terrain is None:
         return
-    needs_terrain = format in LAYOUTS and LAYOUTS[format].has_terrain
-    if dataset.has_terrain and not needs_terrain:
+    name = file_format.name
+    if dataset.has_terrain and not file_format.has_terrain:
         raise ValueError(
-            f"{format}: got maps with terrain, but {format} has no costs of cells; expected maps "
+            f"{name}: got maps with terrain, but {name} has no costs of cells; expected maps "
             "without terrain, or one of the formats arrays, parquet and warcraft"
         )
-    if needs_terrain and not dataset.has_terrain:
+    if file_format.has_terrain and not dataset.has_terrain:
         raise ValueError(
-            f"{format}: got maps without terrain, expected costs of cells, as of the preset tiles"
+            f"{name}: got maps without terrain, expected costs of cells, as of the preset tiles"
         )
-    if needs_terrain and search != "astar":
-        raise ValueError(f"search: {format} holds cheapest paths, got {search!r}, expected 'astar'")
+    if file_format.has_terrain and search != "astar":
+        raise ValueError(f"search: {name} holds cheapest paths, got {search!r}, expected 'astar'")
 
 
-def _check_square_and_straight(format: str, dataset: ProblemDataset) -> None:  # noqa: A002
+def _check_square_and_straight(name: str, dataset: ProblemDataset) -> None:
     """Refuse what mazes as text cannot hold.
 
     Raises:
@@ -689,25 +681,16 @@ def _check_square_and_straight(format: str, dataset: ProblemDataset) -> None:  #
     rows, columns = dataset.map_size
     if rows != columns or dataset.movement.connectivity != 4:
         raise ValueError(
-            f"{format}: got maps of {rows} x {columns} cells and {dataset.movement}, expected "
+            f"{name}: got maps of {rows} x {columns} cells and {dataset.movement}, expected "
             "square maps and 4-connected paths"
         )
 
 
-def _writer(format: str, folder: Path, options: _Options, parts: Sequence[_Part]) -> Writer:  # noqa: A002
-    """Return what writes a format below a folder."""
-    if format == "arrays":
-        return ArrayWriter(folder, options.max_length)
-    if format == "parquet":
-        counts = {part.split: part.count for part in parts}
-        return ParquetWriter(folder, counts, parts[0].dataset.map_size)
-    if format == "maze-hard":
-        return MazeTextWriter(folder)
-    layout: Layout = LAYOUTS[format]
-    missing = [name for name in layout.splits if name not in {part.split for part in parts}]
-    if layout.archive and missing:
-        raise ValueError(f"{format}: the source has no problems in {', '.join(missing)}")
-    return LayoutWriter(folder, layout, parts[0].dataset.movement)
+def _check_all_splits(file_format: ProblemFormat, parts: Sequence[_Part]) -> None:
+    """Refuse a source without problems in a split of a format that is one file of all splits."""
+    missing = [name for name in file_format.splits if name not in {part.split for part in parts}]
+    if missing:
+        raise ValueError(f"{file_format.name}: the source has no problems in {', '.join(missing)}")
 
 
 def _write(

@@ -32,6 +32,7 @@ from mapdata.export import LAYOUTS, PROBLEM_FORMATS, export_problems, verify_exp
 from mapdata.export.growing_array import GrowingArray
 from mapdata.export.layouts import Columns
 from mapdata.export.parquet import ParquetWriter
+from mapdata.export.problem_formats import FORMATS
 from mapdata.export.problems import _Part
 from mapdata.export.writers import ArrayWriter
 from mapdata.formats import Collection, ForeignMap, import_maps, is_shortest_answer
@@ -816,3 +817,10 @@ def test_too_few_distinct_maps_are_an_error(tmp_path: Path) -> None:
     flag: Any = "yes"
     with pytest.raises(ValueError, match="distinct: got 'yes', expected True or False"):
         export_problems(Maze((7, 7)), tmp_path / "out", distinct=flag)
+
+
+def test_each_format_has_one_record() -> None:
+    """In the order of the help, under its own name; layouts among them."""
+    assert tuple(FORMATS) == PROBLEM_FORMATS
+    assert all(record.name == name for name, record in FORMATS.items())
+    assert set(LAYOUTS) < set(FORMATS)
