@@ -1,4 +1,4 @@
-"""Changes that the site makes to its pages: pictures in two themes, and a link to the repository.
+"""Changes that the site makes to its pages: pictures in two themes, links, words for its search.
 
 A page says ``![words](images/name.png)``; beside it lies ``name-dark.png``. The site shows the
 picture of the theme that the reader has chosen; GitHub shows the light one. Of wide pictures there
@@ -17,6 +17,41 @@ IMAGES = Path(__file__).parent / "images"
 IMAGE = re.compile(r'<img [^>]*src="([\w./-]*images/)([\w-]+?)(-dark)?\.png(#[\w-]+)"[^>]*>')
 CITATION = Path(__file__).parent.parent / "CITATION.cff"
 
+NOT_SEARCHED = ("benchmarks.md", "format.md", "paper.md", "planner_tables.md")
+"""Long tables and definitions: they have nearly every word, and hide the page that explains one."""
+
+SEARCH_WORDS = {
+    "command.md": ["shell", "CLI"],
+    "distributed.md": ["DDP", "multi-GPU", "resume", "reproducible"],
+    "faq.md": [
+        "CUDA",
+        "citation",
+        "cite",
+        "gymnasium",
+        "license",
+        "normalize",
+        "slow",
+        "out of memory",
+    ],
+    "fields.md": ["optimal_moves", "cost_to_go", "path_mask"],
+    "gallery.md": ["visualize", "plot"],
+    "formats/ros.md": ["robot map", "map_server"],
+    "howto/coming_from.md": ["GPU"],
+    "howto/maps.md": ["own map", "png", "image", "import"],
+    "howto/spec.md": ["custom generator"],
+    "howto/terrain.md": ["weighted", "cost map"],
+    "howto/text.md": ["LLM", "language model"],
+    "install.md": ["windows", "macOS", "pip", "docker"],
+    "loading.md": ["custom dataset", "DataLoader", "Lightning", "batch size"],
+    "planners.md": ["A*", "Dijkstra", "JPS"],
+    "problems.md": ["random problems", "hard problems", "start and goal"],
+    "recipes.md": ["hydra", "accelerate"],
+    "reference/datasets.md": ["MapDataset", "MapDataModule"],
+    "reference/plotting.md": ["visualize", "matplotlib"],
+    "words.md": ["corner cutting", "diagonal moves", "glossary", "seed"],
+}
+"""What newcomers type to find a page, where it does not stand in the title."""
+
 
 def on_config(config: MutableMapping[str, Any]) -> None:
     """Link the repository at the top of each page, if CITATION.cff has its address."""
@@ -26,8 +61,13 @@ def on_config(config: MutableMapping[str, Any]) -> None:
         config["repo_name"] = address.rstrip("/").rpartition("/")[2]
 
 
-def on_page_markdown(markdown: str, **_: object) -> str:
-    """Give each picture its two themes."""
+def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
+    """Give each picture its two themes, and the search its words."""
+    name = page.file.src_uri
+    if name in NOT_SEARCHED:
+        page.meta["search"] = {"exclude": True}
+    if name in SEARCH_WORDS:
+        page.meta["tags"] = SEARCH_WORDS[name]
     return PICTURE.sub(r"![\1](\2.png#only-light)![\1](\2-dark.png#only-dark)", markdown)
 
 

@@ -21,6 +21,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 import pytest
+import yaml
 from helpers import pages
 from helpers.pages import DOCS, ROOT
 from matplotlib.figure import Figure
@@ -290,8 +291,13 @@ def build_site(checkout: Path) -> subprocess.CompletedProcess[str]:
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
     """Give a copy of the checkout, whose site may be built and spoiled."""
+    return copy_checkout(tmp_path)
+
+
+def copy_checkout(folder: Path) -> Path:
+    """Copy the checkout into a folder, without what the site does not need."""
     left_out = shutil.ignore_patterns(".*", "build", "data", "tests", "__pycache__", "*.egg-info")
-    return Path(shutil.copytree(ROOT, tmp_path / "checkout", symlinks=True, ignore=left_out))
+    return Path(shutil.copytree(ROOT, folder / "checkout", symlinks=True, ignore=left_out))
 
 
 @NEEDS_MKDOCS
@@ -309,13 +315,19 @@ def test_a_warning_stops_the_site(checkout: Path) -> None:
     assert re.search(r"Aborted with \d warnings? in strict mode", said)
 
 
-@NEEDS_MKDOCS
-@pytest.mark.slow
-def test_the_site_builds_without_a_warning(checkout: Path) -> None:
-    """Strict: each warning is an error; each public name has its place."""
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the site without a warning: strict makes each of them an error."""
+    checkout = copy_checkout(tmp_path_factory.mktemp("site"))
     process = build_site(checkout)
     assert process.returncode == 0, textwrap.shorten(process.stderr, 4000)
-    site = checkout / "build" / "site"
+    return checkout / "build" / "site"
+
+
+@NEEDS_MKDOCS
+@pytest.mark.slow
+def test_the_site_has_each_public_name(site: Path) -> None:
+    """Each has its place, and a signature that a reader can read."""
     reference = "".join(
         page.read_text(encoding="utf-8") for page in (site / "reference").rglob("*.html")
     )
@@ -329,16 +341,94 @@ def test_the_site_builds_without_a_warning(checkout: Path) -> None:
     loading = (site / "loading" / "index.html").read_text(encoding="utf-8")
     assert "LightningModule" in loading  # scripts are included
     # In Markdown the stars of two A* in a paragraph may become emphasis.
-    pages_of_site = [page.read_text(encoding="utf-8") for page in (site).rglob("*.html")]
+    pages_of_site = [page.read_text(encoding="utf-8") for page in site.rglob("*.html")]
     assert not any(re.search(r"\bA<em>", page) for page in pages_of_site)
     notebook = (site / "first_look" / "index.html").read_text(encoding="utf-8")
     assert "data:image/png;base64" in notebook
     front = (site / "index.html").read_text(encoding="utf-8")
     body = front.split("<article", 1)[1].split("</h1>", 1)[1]
-    assert re.match(
-        r'\s*<p><picture><source media="[^"]*" srcset="images/overview-phone.png">'
+    text, _, _ = body.partition("<p><picture>")
+    assert len(re.sub(r"<[^>]*>", "", text)) > 200  # Text first: a phone shows a sentence at once.
+    assert re.search(
+        r'<p><picture><source media="[^"]*" srcset="images/overview-phone.png">'
         r"<img [^>]*images/overview.png#only-light",
         body,
     )
     assert "images/overview-dark.png#only-dark" in body
     assert 'srcset="images/overview-phone-dark.png"' in body
+
+
+PAGES_OF_QUERIES = {
+    "A*": "planners/",
+    "GPU": "howto/coming_from/",
+    "MapDataset": "reference/datasets/",
+    "batch size": "loading/",
+    "cite": "faq/",
+    "corner cutting": "words/",
+    "custom dataset": "loading/",
+    "export": "export/",
+    "gymnasium": "faq/",
+    "hard problems": "problems/",
+    "hugging face": "howto/coming_from/",
+    "hydra": "recipes/",
+    "install": "install/",
+    "language model": "howto/text/",
+    "license": "faq/",
+    "lightning": "loading/",
+    "movingai": "formats/movingai/",
+    "normalize": "faq/",
+    "number of workers": "distributed/",
+    "optimal_moves": "fields/",
+    "out of memory": "faq/",
+    "own map png": "howto/maps/",
+    "pretrained": "pretrained/",
+    "random problems": "problems/",
+    "robot map": "formats/ros/",
+    "terrain cost": "howto/terrain/",
+    "visualize": "gallery/",
+    "waypoints": "howto/waypoints/",
+    "windows": "install/",
+}
+"""What newcomers type into the search box, and the page that answers it."""
+
+
+@NEEDS_MKDOCS
+@pytest.mark.slow
+@pytest.mark.skipif(
+    shutil.which("node") is None, reason="needs node, to run the search of the site"
+)
+def test_the_search_finds_the_right_page(site: Path, tmp_path: Path) -> None:
+    """Among the first two hits of the site's own search."""
+    (tmp_path / "queries.json").write_text(json.dumps([*PAGES_OF_QUERIES]), encoding="utf-8")
+    program = Path(__file__).parent / "search_site.js"
+    command = ["node", str(program), str(site), str(tmp_path / "queries.json")]
+    process = subprocess.run(command, capture_output=True, text=True, check=True)
+    hits = json.loads(process.stdout)
+    wrong = {
+        query: hits[query][:2]
+        for query, page in PAGES_OF_QUERIES.items()
+        if page not in hits[query][:2]
+    }
+    assert not wrong
+
+
+def test_the_index_has_the_sections_of_the_sidebar() -> None:
+    """The same six sections in the same order, and each page of a section in its table."""
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    nav = yaml.safe_load(text[text.index("\nnav:") :])["nav"]
+    sections = [next(iter(section)) for section in nav]
+    index = (DOCS / "index.md").read_text(encoding="utf-8")
+    parts = re.split(r"^## (.*)$", index, flags=re.MULTILINE)
+    tables = dict(zip(parts[1::2], parts[2::2], strict=True))
+    assert [title for title in tables if title in sections] == sections
+    for section in nav:
+        ((title, pages),) = section.items()
+        for page in pages:
+            if isinstance(page, str) and page != "index.md" and not page.startswith("reference/"):
+                assert f"]({page})" in tables[title], page
+
+
+def test_no_two_pages_have_one_title() -> None:
+    """A reader of the search or of the sidebar could not tell them apart."""
+    titles = [page.read_text(encoding="utf-8").partition("\n")[0] for page in DOCS.rglob("*.md")]
+    assert len(titles) == len(set(titles))
