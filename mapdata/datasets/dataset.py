@@ -48,8 +48,8 @@ from mapdata.datasets.repeats import RepeatWatch, warn_of_repeats
 from mapdata.datasets.sample import Rows, Sample, cast, row, sample_class, stack
 from mapdata.describe.dataset_card import movement_text
 from mapdata.describe.problem_statistics import ProblemStatistics
-from mapdata.generators.generator import unknown_family
 from mapdata.generators.recipe import Recipe
+from mapdata.generators.stored_families import unknown_family
 from mapdata.limits import SPLITS, Size
 from mapdata.movement import Movement
 from mapdata.problems.nearest import nearest_text, nothing_seen, see_values

@@ -18,7 +18,8 @@ import numpy as np
 from mapdata._version import __version__
 from mapdata.describe.problem_statistics import ProblemStatistics
 from mapdata.describe.statistics import DatasetStatistics, Repeats, dataset_statistics
-from mapdata.generators.generator import PRESETS, SHARED_PARAMETERS, MapGenerator, UnknownFamily
+from mapdata.generators.generator import PRESETS, SHARED_PARAMETERS, MapGenerator
+from mapdata.generators.stored_families import UnknownFamily
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
 from mapdata.search.lattice import HARD

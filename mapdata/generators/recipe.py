@@ -17,15 +17,13 @@ from mapdata.checks import check_choice, check_count, check_seed, did_you_mean
 from mapdata.generators.generator import (
     PRESETS,
     MapGenerator,
-    UnknownFamily,
     check_declared,
     check_plain,
     identity,
     is_of_mapdata,
-    parameter_changes,
-    why_not_drawn,
 )
 from mapdata.generators.maps import Maps
+from mapdata.generators.stored_families import UnknownFamily, parameter_changes, why_not_drawn
 from mapdata.hashing import parsed_json
 from mapdata.limits import FORMAT_VERSIONS
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mapdata.checks import check_count, check_integers
-from mapdata.generators.generator import check_plain, unknown_family, why_not_drawn
+from mapdata.generators.generator import check_plain
 from mapdata.generators.maps import Maps, pack
 from mapdata.generators.recipe import (
     Recipe,
@@ -27,6 +27,7 @@ from mapdata.generators.recipe import (
     is_pinned,
     is_same_map,
 )
+from mapdata.generators.stored_families import unknown_family, why_not_drawn
 from mapdata.hashing import canonical_json
 from mapdata.search.labels import HighCostError, Labels, label
 from mapdata.shards.errors import ShardError

@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from mapdata.generators.generator import MapGenerator, unknown_family, why_not_drawn
+from mapdata.generators.generator import MapGenerator
+from mapdata.generators.stored_families import unknown_family, why_not_drawn
 from mapdata.shards.arrays import decode
 from mapdata.shards.builder import build_shard, planned_headers
 from mapdata.shards.content import content_hash

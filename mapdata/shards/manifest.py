@@ -15,7 +15,7 @@ import numpy as np
 
 from mapdata.arrays import Flags, Ints
 from mapdata.checks import check_count, check_integers, check_number, check_seed
-from mapdata.generators.generator import stored_generator, unknown_family
+from mapdata.generators.stored_families import stored_generator, unknown_family
 from mapdata.hashing import is_sha256_hex, json_hash, sha256_hex
 from mapdata.limits import SPLITS, TERRAIN_VERSION
 from mapdata.movement import Movement

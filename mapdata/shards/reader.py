@@ -22,8 +22,8 @@ import numpy as np
 
 from mapdata.arrays import Array, Bytes, Flags, Ints
 from mapdata.checks import check_integers
-from mapdata.generators.generator import stored_generator
 from mapdata.generators.maps import WORD, Maps, pack
+from mapdata.generators.stored_families import stored_generator
 from mapdata.hashing import is_sha256_hex, sha256_hex
 from mapdata.limits import TERRAIN_VERSION
 from mapdata.movement import Movement

@@ -50,7 +50,7 @@ from mapdata.generators import (
     register,
     with_seed_points,
 )
-from mapdata.generators.generator import stored_generator
+from mapdata.generators.stored_families import _cached_generator, stored_generator
 from mapdata.shards import read_manifest
 
 
@@ -442,7 +442,7 @@ def test_a_dataset_with_tuples_among_its_parameters_is_built_twice_and_extended(
     module.prepare_data()
     assert verify(root) == []
     monkeypatch.setitem(Bars.__annotations__, "side", "Unknown")
-    stored_generator.cache_clear()
+    _cached_generator.cache_clear()
     extended = build(root, generator, seed=4, maps=10, workers=1)
     assert build(root, generator, seed=4, maps=10, workers=1).identity == first.identity
     assert extended.maps == 10

@@ -18,8 +18,8 @@ from scipy import ndimage
 
 from mapdata import PRESETS, Cave, MapGenerator, MapSpec, Maze, Movement, Terrain, generate
 from mapdata.generators import UnknownFamily, as_recipe, identity, register
-from mapdata.generators.generator import stored_generator
 from mapdata.generators.recipe import Recipe
+from mapdata.generators.stored_families import stored_generator
 from mapdata.hashing import sha256_hex
 
 SIZES = st.tuples(st.integers(1, 20), st.integers(1, 20))

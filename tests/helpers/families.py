@@ -6,7 +6,8 @@ import sys
 from pathlib import Path
 
 from mapdata.generators import GENERATORS
-from mapdata.generators.generator import _presets, register_installed, stored_generator
+from mapdata.generators.generator import _presets, register_installed
+from mapdata.generators.stored_families import _cached_generator
 
 PILLARS = """
 from dataclasses import dataclass
@@ -61,5 +62,5 @@ def forget(family: str, *presets: str) -> None:
     for preset in presets:
         _presets.pop(preset, None)
     sys.modules.pop(family, None)
-    stored_generator.cache_clear()
+    _cached_generator.cache_clear()
     register_installed.cache_clear()
