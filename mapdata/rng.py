@@ -13,7 +13,7 @@ import numpy as np
 
 from mapdata.jit import Int, kernel
 
-MAP, PROBLEM, SPLIT, AUGMENTATION, ORDER, POINTS, TERRAIN, IMAGE, SUBSTITUTE = range(9)
+MAP, PROBLEM, SPLIT, AUGMENTATION, ORDER, POINTS, TERRAIN, IMAGE, SUBSTITUTE, JITTER = range(10)
 """The streams: the purposes of draws. Equal indices of two streams give unrelated numbers."""
 
 # The multipliers of a counter, and the constants that the key grows by in each round, are M and W

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 import torch
@@ -89,6 +89,21 @@ class Serving:
     def names(self) -> tuple[str, ...]:
         """The names of the fields; a function has its own name."""
         return field_names(self.fields)
+
+    @property
+    def has_jitter(self) -> bool:
+        """Whether the light of pictures varies."""
+        return any(isinstance(field, Tiles) and field.jitter for field in self.fields)
+
+    def of_split(self, split: str) -> Serving:
+        """Return the options for a split: only the training split is augmented and has jitter."""
+        if split == "train":
+            return self
+        fields = tuple(
+            replace(field, jitter=False) if isinstance(field, Tiles) else field
+            for field in self.fields
+        )
+        return replace(self, augment=False, fields=fields)
 
     def plain(self) -> dict[str, Any]:
         """Return the options as plain values, which checkpoints can hold safely.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, replace
+from dataclasses import astuple
 from importlib.util import find_spec
 from inspect import signature
 from pathlib import Path
@@ -114,9 +114,10 @@ class MapDataModule(_Base):
         loader_options: further options of torch's DataLoader for all loaders by name, such as
             ``{"timeout": 60}``; not those that decide on the samples of an epoch, such as
             ``sampler``. A checkpoint holds no functions among them.
-        fields: as in `MapDataset`, like all further arguments. ``augment`` concerns the training
-            split only, ``transform`` all splits. A checkpoint holds neither a ``transform`` nor
-            functions among the fields: give them to ``load_from_checkpoint`` again.
+        fields: as in `MapDataset`, like all further arguments. ``augment`` and the
+            ``jitter`` of `Tiles` concern the training split only, ``transform`` all splits. A
+            checkpoint holds neither a ``transform`` nor functions among the fields: give them to
+            ``load_from_checkpoint`` again.
 
     Raises:
         ValueError: arguments that do not fit, or that would do nothing.
@@ -272,15 +273,14 @@ class MapDataModule(_Base):
             logger.log_hyperparams({"data": plain_logged})
 
     def _open(self, split: str) -> Dataset:
-        """Return the dataset of a split; only training samples are augmented."""
-        serving = replace(self.serving, augment=self.serving.augment and split == "train")
-        arguments = vars(serving)
+        """Return the dataset of a split."""
+        arguments = vars(self.serving.of_split(split))
         if self.roots:
             return MapDataset(self.roots, split, follow_links=self.follow_links, **arguments)
         assert self.build is not None  # there are roots or a recipe
         recipe = as_recipe(self.build)
         maps = max(round(recipe.maps * recipe.generator.splits[SPLITS.index(split)]), 1)
-        length = maps * serving.problems.per_map
+        length = maps * self.serving.problems.per_map
         return OnlineMapDataset(recipe.generator, recipe.seed, length, split, **arguments)
 
     def train_dataloader(self) -> DataLoader[Sample]:

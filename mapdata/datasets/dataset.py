@@ -213,6 +213,11 @@ class ProblemDataset(Dataset[Sample], ABC):
             raise ValueError(
                 f"augment: would change the split {split!r}, expected the training split"
             )
+        if serving.has_jitter and split in ("val", "test"):
+            raise ValueError(
+                f"jitter: would change the pictures of the split {split!r}, expected Tiles without "
+                "jitter, or the training split"
+            )
         self.split = split
         self.serving = serving
         self._field_names = serving.names
@@ -223,10 +228,12 @@ class ProblemDataset(Dataset[Sample], ABC):
 
     @property
     def _drawn_anew(self) -> str:
-        """What is drawn anew each epoch: "problems", "symmetries", or "" if nothing is."""
+        """What is drawn anew each epoch: "problems", "symmetries", "light" or "" for nothing."""
         if isinstance(self.serving.problems, Random):
             return "problems"
-        return "symmetries" if self.serving.augment else ""
+        if self.serving.augment:
+            return "symmetries"
+        return "light" if self.serving.has_jitter else ""
 
     def _epoch_note(self) -> str:
         """Return what `repr` says of epochs; nothing if all epochs serve the same samples."""
@@ -421,6 +428,8 @@ class ProblemDataset(Dataset[Sample], ABC):
     def _batch(self, indices: Ints, epoch: int) -> Batch:
         """Return problems ``indices`` of an epoch, transformed by symmetries if asked for."""
         batch = self._problems(indices, epoch)
+        batch.sampling_seed = self.serving.sampling_seed
+        batch.epoch = epoch
         if self.serving.augment:
             batch = _transformed(batch, self.serving.sampling_seed, epoch)
         return batch

@@ -123,6 +123,8 @@ class Batch:
         compute_paths: returns the paths of "bfs" or "astar", or None if they must be searched.
         radius_cells: radius of the robot, in cells.
         has_terrain: whether the stored maps have terrain.
+        sampling_seed: seed of what is drawn while loading.
+        epoch: pass over the data.
     """
 
     movement: Movement
@@ -140,6 +142,8 @@ class Batch:
     compute_paths: Callable[[str], Paths | None] = _no_known_paths
     radius_cells: float = 0.0
     has_terrain: bool = False
+    sampling_seed: int = 0
+    epoch: int = 0
 
     __repr__ = summary
 

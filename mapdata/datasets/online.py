@@ -138,7 +138,7 @@ class OnlineMapDataset(SampledProblemDataset):
 
     @property
     def _drawn_anew(self) -> str:
-        """What is drawn anew each epoch: "problems", "symmetries", or "" if nothing is."""
+        """What is drawn anew each epoch: "problems", "symmetries", "light" or "" for nothing."""
         # A map of two rooms has one segment and one pair, which each epoch serves.
         return "problems" if self.generator.max_seed_points > 2 else super()._drawn_anew
 

@@ -60,10 +60,10 @@ class RepeatWatch:
 
 
 def warn_of_repeats(drawn: str) -> None:
-    """Warn, once for each process, that each pass serves the same problems or symmetries.
+    """Warn, once for each process, that each pass serves the same draws.
 
     Args:
-        drawn: what should be drawn anew, "problems" or "symmetries".
+        drawn: what should be drawn anew, "problems", "symmetries" or "light".
     """
     if _process["warned"]:
         return

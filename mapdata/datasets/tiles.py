@@ -15,6 +15,10 @@ colour of a texture nor its brightnesses tell anything of its cost.
 adding noise from another bank. Which textures and which noise, a hash of the map decides, so that a
 map has the same picture wherever it is served. All numbers are integers and come from
 `mapdata.rng`, so that a picture is the same on every machine.
+
+**Jitter** is for training alone: it changes light and contrast of a served picture, and moves it
+against the cells. What it draws depends on the sampling seed, the epoch and the problem, as
+symmetries do.
 """
 
 from __future__ import annotations
@@ -34,7 +38,7 @@ from mapdata.arrays import Bytes, Ints
 from mapdata.checks import check_count, check_flag, check_seed
 from mapdata.jit import Int, inlined, kernel
 from mapdata.problems.symmetry import transform_grids
-from mapdata.rng import IMAGE, block, bounded
+from mapdata.rng import IMAGE, JITTER, block, bounded
 
 MIN_PIXELS, MIN_ALIKE_PIXELS, MAX_PIXELS = 4, 8, 32
 """Limits of the pixels of a tile; tiles of fewer pixels cannot show all patterns."""
@@ -113,6 +117,22 @@ _NOISE_COUNT = 2**18
 
 _NOISE_UNIT = 8
 """The bank of noise holds eighths of grey levels."""
+
+_MIN_CONTRAST, _MAX_CONTRAST, _EQUAL_CONTRAST = 128, 384, 256
+"""Limits of the factor of contrast that jitter draws, in 256ths, and the factor 1."""
+
+_MIDDLE_LEVEL = 128
+"""The level that a change of contrast leaves as it is."""
+
+_MAX_LIGHT = 48
+"""By how many grey levels jitter brightens or darkens a picture at most."""
+
+_MAX_SLANT = 32
+"""By how many grey levels slanted light brightens one border and darkens the opposite one at most.
+"""
+
+_PIXELS_OF_SHIFT = 8
+"""Jitter moves a picture by at most one pixel for this many pixels of a tile."""
 
 
 @inlined
@@ -493,6 +513,18 @@ class PicturedBatch(Protocol):
     def symmetries(self) -> Ints:
         """(B,) int64."""
 
+    @property
+    def problems(self) -> Ints:
+        """(B,) int64."""
+
+    @property
+    def sampling_seed(self) -> int:
+        """Seed of what is drawn while loading."""
+
+    @property
+    def epoch(self) -> int:
+        """Pass over the data."""
+
 
 @dataclass(frozen=True)
 class Tiles:
@@ -509,6 +541,13 @@ class Tiles:
     picture with the map, and a ``radius`` does not change it. A map that is stored turned or
     reflected is another map, with a picture of its own.
 
+    ``jitter`` is for training pictures that have to be read in any light. The data module gives it
+    to the training split alone. It draws four things anew for each sample and epoch, from the
+    sampling seed, the epoch and the number of the problem: a contrast of 1/2 to 3/2 around level
+    128; a light of -48 to 48 grey levels, the same for all pixels and channels; a slanted light, of
+    up to 32 levels at the borders for each of the two axes; and a shift by up to a pixel for each 8
+    pixels of a tile, along both axes, after which the border pixels are repeated.
+
     Attributes:
         pixels: k, rows and columns of a tile, 4 to 32.
         alike: whether all costs have the same mean colours, so that only the patterns of the tiles
@@ -516,6 +555,7 @@ class Tiles:
         noise: standard deviation of the noise that is added to each channel of each pixel, in grey
             levels of 0 to 255; at most 64.
         seed: another seed gives other textures of the same looks, and other noise.
+        jitter: whether light, contrast and position vary, as above.
 
     Raises:
         ValueError: an option out of range.
@@ -525,12 +565,14 @@ class Tiles:
     alike: bool = False
     noise: int = 0
     seed: int = 0
+    jitter: bool = False
 
     __name__: ClassVar[str] = "image"
 
     def __post_init__(self) -> None:
         """Check the values."""
         check_flag("alike", self.alike)
+        check_flag("jitter", self.jitter)
         pixels = check_count("pixels", self.pixels)
         min_pixels = MIN_ALIKE_PIXELS if self.alike else MIN_PIXELS
         if not min_pixels <= pixels <= MAX_PIXELS:
@@ -552,7 +594,13 @@ class Tiles:
             terrain = batch.stored_grids ^ np.uint8(1)  # A free cell costs 1.
         keys = map_keys(terrain)
         pictures = draw_tiles(terrain, keys, self.pixels, self.alike, self.noise, self.seed)
-        return after_symmetries(pictures, batch.symmetries)
+        pictures = after_symmetries(pictures, batch.symmetries)
+        if self.jitter:
+            max_shift = self.pixels // _PIXELS_OF_SHIFT
+            seed = np.uint64(batch.sampling_seed)
+            jitters = sample_jitters(seed, batch.epoch, batch.problems, max_shift)
+            pictures = jittered(pictures, jitters)
+        return pictures
 
 
 def after_symmetries(pictures: Bytes, symmetries: Ints) -> Bytes:
@@ -561,3 +609,57 @@ def after_symmetries(pictures: Bytes, symmetries: Ints) -> Bytes:
         return pictures
     channels = pictures.reshape(-1, *pictures.shape[2:])
     return transform_grids(channels, np.repeat(symmetries, 3)).reshape(pictures.shape)
+
+
+@kernel
+def sample_jitters(seed: np.uint64, epoch: Int, indices: Ints, max_shift: Int) -> Ints:
+    """Return the random jitter of each of the problems ``indices``, (B, 6).
+
+    Its numbers are the contrast in 256ths, the light, the slanted light along rows and along
+    columns, in grey levels, and the shift of rows and of columns, in pixels.
+    """
+    jitters = np.empty((len(indices), 6), np.int64)
+    for b in range(len(indices)):
+        index = np.uint64(indices[b])
+        w0, w1, w2, w3 = block(seed, index, epoch, JITTER, 0)
+        w4, w5, _, _ = block(seed, index, epoch, JITTER, 1)
+        jitters[b, 0] = bounded(w0, _MIN_CONTRAST, _MAX_CONTRAST)
+        jitters[b, 1] = bounded(w1, -_MAX_LIGHT, _MAX_LIGHT)
+        jitters[b, 2] = bounded(w2, -_MAX_SLANT, _MAX_SLANT)
+        jitters[b, 3] = bounded(w3, -_MAX_SLANT, _MAX_SLANT)
+        jitters[b, 4] = bounded(w4, -max_shift, max_shift)
+        jitters[b, 5] = bounded(w5, -max_shift, max_shift)
+    return jitters
+
+
+@kernel
+def jittered(pictures: Bytes, jitters: Ints) -> Bytes:
+    """Return pictures, (B, 3, rows, columns), after the jitters of `sample_jitters`, (B, 6)."""
+    changed = np.empty_like(pictures)
+    channels, rows, columns = pictures.shape[1:]
+    sources = np.empty(columns, np.int64)
+    lights = np.empty(columns, np.int64)
+    for b in range(len(pictures)):
+        contrast = jitters[b, 0]
+        light = jitters[b, 1]
+        row_slant = jitters[b, 2]
+        column_slant = jitters[b, 3]
+        row_shift = jitters[b, 4]
+        column_shift = jitters[b, 5]
+        for x in range(columns):
+            sources[x] = min(max(x - column_shift, 0), columns - 1)
+            # From -slant at the first pixel to slant at the last one, in 256ths of a level.
+            slant = _EQUAL_CONTRAST * column_slant * (2 * x - (columns - 1)) // (columns - 1)
+            lights[x] = _EQUAL_CONTRAST * light + slant
+        for y in range(rows):
+            source_row = min(max(y - row_shift, 0), rows - 1)
+            slant = _EQUAL_CONTRAST * row_slant * (2 * y - (rows - 1)) // (rows - 1)
+            for channel in range(channels):
+                line = pictures[b, channel, source_row]
+                changed_line = changed[b, channel, y]
+                for x in range(columns):
+                    level = np.int64(line[np.uint64(sources[x])]) - _MIDDLE_LEVEL
+                    level = contrast * level + lights[x] + slant + _EQUAL_CONTRAST // 2
+                    level = _MIDDLE_LEVEL + level // _EQUAL_CONTRAST
+                    changed_line[x] = min(max(level, 0), 255)
+    return changed

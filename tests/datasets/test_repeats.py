@@ -12,7 +12,15 @@ import torch
 from helpers import samples
 from torch.utils.data import DataLoader, Sampler
 
-from mapdata import MapDataset, MapSpec, Movement, OnlineMapDataset, ProblemSet, ProblemSetDataset
+from mapdata import (
+    MapDataset,
+    MapSpec,
+    Movement,
+    OnlineMapDataset,
+    ProblemSet,
+    ProblemSetDataset,
+    Tiles,
+)
 from mapdata.datasets import EpochSampler, repeats
 
 FIELDS = ("map", "start", "problem")
@@ -27,6 +35,10 @@ DATASETS: dict[str, tuple[Callable[[str], Any], str]] = {
             augment=True,
         ),
         "symmetries",
+    ),
+    "jitter": (
+        lambda root: MapDataset(root, "train", ("map", "start", "problem", Tiles(4, jitter=True))),
+        "light",
     ),
 }
 """Datasets that draw anew in each epoch, and what they draw."""
@@ -45,12 +57,13 @@ def _new_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def passes(loader: Any, count: int) -> list[torch.Tensor]:
-    """Return the maps and starts of each pass, in the order of the problems."""
+    """Return the maps (or images) and starts of each pass, in the order of the problems."""
     found = []
     for _ in range(count):
         batches = list(loader)
         order = torch.cat([batch.problem for batch in batches]).argsort()
-        maps = torch.cat([batch.map.flatten(1) for batch in batches])
+        pictures = [getattr(batch, "image", batch.map) for batch in batches]
+        maps = torch.cat([picture.flatten(1) for picture in pictures])
         starts = torch.cat([batch.start for batch in batches])
         found.append(torch.cat([maps, starts], dim=1)[order])
     return found

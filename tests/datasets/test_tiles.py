@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import pickle
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from itertools import product
 from pathlib import Path
@@ -14,15 +14,23 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
-from helpers.reference_tiles import reference_key, reference_picture, reference_texture
+from helpers import samples
+from helpers.reference_tiles import (
+    reference_jittered,
+    reference_key,
+    reference_picture,
+    reference_texture,
+)
 from torch import nn
 
 from mapdata import (
     Forest,
+    MapDataModule,
     MapDataset,
     MazeImage,
     OnlineMapDataset,
     Random,
+    Recipe,
     Terrain,
     Tiles,
     Waypoints,
@@ -30,7 +38,13 @@ from mapdata import (
     generate,
 )
 from mapdata.arrays import Bytes, Ints
-from mapdata.datasets.tiles import TEXTURES, draw_textures, draw_tiles, map_keys
+from mapdata.datasets.tiles import (
+    TEXTURES,
+    draw_textures,
+    draw_tiles,
+    map_keys,
+    sample_jitters,
+)
 
 TILES_COSTS = (8, 12, 53, 77, 92)
 """The costs of the preset ``tiles``."""
@@ -42,6 +56,8 @@ ONE_TO_TEN = tuple(range(1, 11))
 
 SQUARE = Terrain((6, 6), costs=TILES_COSTS, obstacles=0.2, seed_points=3)
 WIDE = Terrain((5, 8), costs=ONE_TO_TEN, obstacles=0.2, seed_points=3)
+TWO_ENDS = Terrain((6, 6), costs=TILES_COSTS, obstacles=0.0, corners=True)
+"""Its problems are the same in all epochs."""
 
 
 @dataclass
@@ -51,6 +67,9 @@ class StoredBatch:
     stored_terrain: Bytes | None
     stored_grids: Bytes
     symmetries: Ints
+    problems: Ints = field(default_factory=lambda: np.arange(2))
+    sampling_seed: int = 0
+    epoch: int = 0
 
 
 def batch_of(generator: Terrain, code: int = 0) -> StoredBatch:
@@ -346,6 +365,116 @@ def test_maps_without_terrain_have_pictures() -> None:
     assert not any(torch.equal(sample.map, grid) for grid in plain.map)
 
 
+# --- jitter --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("pixels", "augment"), [(5, False), (8, True), (16, True)])
+def test_jitter_equals_the_reference(pixels: int, augment: bool) -> None:
+    """Each pixel, in epoch 3; the picture is turned first."""
+    plain, jittered = (
+        OnlineMapDataset(
+            WIDE,
+            length=6,
+            fields=("problem", Tiles(pixels, noise=20, jitter=jitter)),
+            augment=augment,
+            sampling_seed=2**40 + 7,
+        )
+        for jitter in (False, True)
+    )
+    indices = [3 * 6 + k for k in (4, 0)]
+    pictures = plain.__getitems__(indices).batch.image.tolist()
+    found = jittered.__getitems__(indices).batch
+    assert found.problem.tolist() == [4, 0]
+    for k, problem in enumerate((4, 0)):
+        expected = reference_jittered(pictures[k], 2**40 + 7, problem, 3, pixels)
+        np.testing.assert_array_equal(found.image[k], expected)
+
+
+def test_jitter_draws_its_whole_range() -> None:
+    """Over many problems: contrast 1/2 to 3/2, light of 48 levels, slanted by 32, and a pixel."""
+    jitters = sample_jitters(np.uint64(3), 0, np.arange(4000), 1)
+    assert jitters.min(axis=0).tolist() == [128, -48, -32, -32, -1, -1]
+    assert jitters.max(axis=0).tolist() == [384, 48, 32, 32, 1, 1]
+    correlation = np.corrcoef(jitters.T) - np.eye(6)
+    assert abs(correlation).max() < 0.07
+
+
+def test_jitter_is_drawn_anew_in_each_epoch_and_pictures_are_not() -> None:
+    """It is a function of (sampling seed, epoch, problem), and no field but the image changes."""
+
+    def batch(jitter: bool, sampling_seed: int, epoch: int) -> Any:
+        fields = ("problem", "terrain", "path", Tiles(jitter=jitter))
+        dataset = OnlineMapDataset(TWO_ENDS, length=8, fields=fields, sampling_seed=sampling_seed)
+        return dataset.__getitems__(range(8 * epoch, 8 * epoch + 8)).batch
+
+    first = batch(True, 0, 0)
+    samples.assert_same(batch(True, 0, 0), first)
+    for other in (batch(True, 1, 0), batch(True, 0, 1)):
+        assert not any(
+            torch.equal(one, two) for one, two in zip(other.image, first.image, strict=True)
+        )
+        samples.assert_same(other._replace(image=first.image), first)
+    plain = batch(False, 0, 0)
+    for other in (batch(False, 1, 0), batch(False, 0, 1)):
+        samples.assert_same(other, plain)
+
+
+def test_stored_and_online_maps_have_the_same_jitter(tmp_path: Path) -> None:
+    """The problems of a dataset have the same numbers in both."""
+    build(tmp_path / "maps", SQUARE, maps=12, seed=3)
+    options: dict[str, Any] = {
+        "fields": ("problem", "map_index", Tiles(jitter=True)),
+        "problems": Random(),
+        "augment": True,
+        "sampling_seed": 5,
+    }
+    stored = MapDataset(tmp_path / "maps", **options)
+    online = OnlineMapDataset(SQUARE, 3, 12, **options)
+    indices = range(24, 36)  # epoch 2
+    samples.assert_same(stored.__getitems__(indices).batch, online.__getitems__(indices).batch)
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_jitter_is_for_training_alone_and_resumes(workers: int) -> None:
+    """Validation and test have the pictures of `Tiles` without it; workers change nothing."""
+
+    def module(jitter: bool, workers: int) -> MapDataModule:
+        fields = ("problem", Tiles(jitter=jitter))
+        return MapDataModule(
+            None,
+            build=Recipe(TWO_ENDS, seed=1, maps=40),
+            batch_size=8,
+            fields=fields,
+            num_workers=workers,
+        )
+
+    plain, jittered = module(False, workers), module(True, workers)
+    validation = [data.val_dataloader() for data in (plain, jittered)]
+    test = [data.test_dataloader() for data in (plain, jittered)]
+    for loaders in (validation, test):
+        for one, other in zip(*loaders, strict=True):
+            samples.assert_same(one, other)
+    alone = module(True, 0).train_dataloader()
+    whole = [batch for _ in range(2) for batch in alone]
+    loader: Any = jittered.train_dataloader()
+    state = loader.state_dict()
+    for done, batch in enumerate(loader):
+        samples.assert_same(batch, whole[done])
+        if done == 1:
+            state = loader.state_dict()
+    resumed: Any = module(True, workers).train_dataloader()
+    resumed.load_state_dict(state)
+    found = [batch for _ in range(2) for batch in resumed]
+    samples.assert_all_same(found, whole[2:])
+
+
+@pytest.mark.parametrize("split", ["val", "test"])
+def test_jitter_of_other_splits_is_refused(split: str) -> None:
+    """As `augment` is: what is measured has the pictures of the maps."""
+    with pytest.raises(ValueError, match=f"jitter: would change the pictures of .* '{split}'"):
+        OnlineMapDataset(SQUARE, split=split, fields=(Tiles(jitter=True),))
+
+
 def test_a_dtype_leaves_the_levels_unchanged() -> None:
     """0 to 255, as floats: networks that want other numbers scale them."""
     arguments: Any = {"recipe": SQUARE, "length": 2, "fields": ("image",)}
@@ -367,6 +496,7 @@ def test_a_dtype_leaves_the_levels_unchanged() -> None:
         ({"pixels": 7, "alike": True}, "pixels: got 7, expected 8 to 32 .* for alike=True"),
         ({"pixels": 8.0}, "pixels: got 8.0, expected an integer"),
         ({"alike": 1}, "alike: got 1, expected True or False"),
+        ({"jitter": 1}, "jitter: got 1, expected True or False"),
         ({"noise": -1}, "noise: got -1, expected an integer of at least 0"),
         ({"noise": 65}, "noise: got 65, expected at most 64 grey levels"),
         ({"seed": -1}, "seed: got -1, expected 0 to"),

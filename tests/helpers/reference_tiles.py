@@ -14,7 +14,7 @@ from helpers.reference import block, bounded
 
 Colour = tuple[int, int, int]
 
-IMAGE = 7
+IMAGE, JITTER = 7, 9
 TILE, NOISE_RUN, TEXTURE, TINT, NOISE = range(5)
 TEXTURES = 1024
 NOISE_COUNT = 2**18
@@ -224,3 +224,25 @@ def reference_picture(
             lines.append(line)
         picture.append(lines)
     return picture
+
+
+def reference_jittered(
+    picture: Sequence[Sequence[Sequence[int]]], seed: int, problem: int, epoch: int, pixels: int
+) -> list[list[list[int]]]:
+    """Return a picture, channel by channel and row by row, after the jitter of a problem."""
+    words = (*block(seed, problem, epoch, JITTER, 0), *block(seed, problem, epoch, JITTER, 1))
+    contrast, light = bounded(words[0], 128, 384), bounded(words[1], -48, 48)
+    row_slant, column_slant = bounded(words[2], -32, 32), bounded(words[3], -32, 32)
+    row_shift, column_shift = (bounded(word, -(pixels // 8), pixels // 8) for word in words[4:6])
+    rows, columns = len(picture[0]), len(picture[0][0])
+    changed = [[[0] * columns for _ in range(rows)] for _ in picture]
+    for channel, row, column in product(range(3), range(rows), range(columns)):
+        source_row = sorted((0, row - row_shift, rows - 1))[1]
+        source_column = sorted((0, column - column_shift, columns - 1))[1]
+        level = contrast * (picture[channel][source_row][source_column] - 128)
+        level += 256 * light
+        level += 256 * row_slant * (2 * row - rows + 1) // (rows - 1)
+        level += 256 * column_slant * (2 * column - columns + 1) // (columns - 1)
+        rounded = 128 + (level + 128) // 256
+        changed[channel][row][column] = sorted((0, rounded, 255))[1]
+    return changed
