@@ -26,6 +26,11 @@ of Vlastelica et al. (ICLR 2020, arXiv 1912.02175) for a large step.
 Each part of a shortest path is a shortest path, too. So a batch also asks for random parts of the
 teacher's paths, which say more exactly where the costs are wrong.
 
+Pictures are darker at dusk, and brighter on one side of a lamp. So a tile is brought to the mean 0
+and the deviation 1 before the network sees it: neither light nor contrast changes that. What the
+colour of a tile says is how it differs from the mean colour of the picture, which a second, small
+network reads.
+
 Paths tell no scale: if all costs are doubled, the shortest paths stay. So the predicted costs of
 each map have the geometric mean 1, and a planner stretches them to the range 1 to 255 of terrain.
 
@@ -37,12 +42,13 @@ The pretrained weights were trained by
 
     OMP_NUM_THREADS=1 python -m mapdata.models.train cost_predictor fit --weights FILE
 
-for 10,000 steps on 10,000 maps of ``tiles`` with ``Tiles(alike=True, noise=8)``.
+for 20,000 steps on 10,000 maps of ``tiles`` with ``Tiles(alike=True, noise=8, jitter=True)``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -74,6 +80,14 @@ than terrain can hold, and far from numbers that overflow.
 MIN_PIXELS = 7
 """Smallest number of pixels of a cell: the first layer makes 3 x 3 places of them, the second 1."""
 
+BETAS = (0.9, 0.99)
+"""The decay rates of Adam's moments.
+
+Adam divides its steps by the root of the mean square of recent gradients. The first 25 steps have
+large gradients, which make all predicted costs nearly equal. With the usual rate of .999 Adam
+remembers them for a thousand steps, and learns little in this time.
+"""
+
 LOSSES = ("paths", "terrain", "expansions")
 """What a `CostPredictor` can be taught by."""
 
@@ -98,7 +112,7 @@ class CostPredictor(Model):
 
     PRETRAINED: ClassVar[Mapping[str, str]] = {"tiles": "cost_predictor.pt"}
 
-    optimizer_class = torch.optim.Adam
+    optimizer_class = staticmethod(partial(torch.optim.Adam, betas=BETAS))
 
     def __init__(
         self,
@@ -134,6 +148,8 @@ class CostPredictor(Model):
             nn.ReLU(),
             nn.Conv2d(2 * width, 1, 1),
         )
+        # Light changes the colour of a cell, and hardly its difference from the picture's mean.
+        self.colour_network = nn.Sequential(nn.Linear(3, width), nn.ReLU(), nn.Linear(width, 1))
 
     def log_costs(self, image: Tensor) -> Tensor:
         """Return the logarithm of each cell's cost up to a constant, (B, H, W).
@@ -145,10 +161,19 @@ class CostPredictor(Model):
         k = self.pixels
         rows, columns = height // k, width // k
         tiles = image.reshape(batch, channels, rows, k, columns, k).permute(0, 2, 4, 1, 3, 5)
-        tiles = tiles.reshape(-1, channels, k, k).float() / 64 - 2  # (B * H * W, 3, k, k), about 0
-        output = self.network(tiles).float()  # (B * H * W, 1, places, places)
-        log_costs: Tensor = output.mean(dim=(1, 2, 3)).reshape(batch, rows, columns)
-        return log_costs
+        tiles = tiles.reshape(-1, channels, k * k).to(torch.float32, copy=True)
+        colours = tiles.mean(dim=2)  # (B * H * W, 3)
+        tiles -= colours[:, :, None]
+        deviations = tiles.square().mean(dim=(1, 2)).sqrt()  # (B * H * W,)
+        tiles /= (deviations + 1)[:, None, None]  # a tile of a single colour has the deviation 0
+        patterns = tiles.reshape(-1, channels, k, k)
+        output = self.network(patterns).float()  # (B * H * W, 1, places, places)
+        # The colours of a picture differ less from their mean where its contrast is low.
+        contrasts = deviations.reshape(batch, -1).mean(dim=1) + 1  # (B,)
+        colours = colours.reshape(batch, rows * columns, channels)
+        colours = (colours - colours.mean(dim=1, keepdim=True)) / contrasts[:, None, None]
+        log_costs: Tensor = output.mean(dim=(1, 2, 3)) + self.colour_network(colours).flatten()
+        return log_costs.float().reshape(batch, rows, columns)
 
     def forward(self, image: Tensor, occupied: Tensor) -> Tensor:
         """Return the cost of each cell, (B, H, W), whose geometric mean over free cells is about 1.

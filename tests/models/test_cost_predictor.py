@@ -279,7 +279,58 @@ def test_weights_survive_a_file(tmp_path: Path) -> None:
     assert np.abs(difference).max() <= 2
 
 
+@pytest.mark.parametrize("size", [(1, 1), (3, 5)])
+def test_light_and_contrast_do_not_change_predictions(size: tuple[int, int]) -> None:
+    """Of a network that nobody trained, too; and the picture itself stays as it was."""
+    torch.manual_seed(0)
+    model = CostPredictor()
+    rows, columns = size
+    image = 60 + 100 * torch.rand(2, 3, 8 * rows, 8 * columns)
+    before = image.clone()
+    costs = model.log_costs(image)
+    assert torch.equal(image, before)
+    lighter = model.log_costs(image + 90)
+    with_contrast = model.log_costs(128 + 0.6 * (image - 128))
+    spread = costs.std().item()
+    torch.testing.assert_close(lighter, costs, rtol=0, atol=1e-3 * spread)
+    torch.testing.assert_close(with_contrast, costs, rtol=0, atol=0.2 * spread)
+
+
+def test_colours_without_any_texture_are_learned() -> None:
+    """Each cell has a single colour, one for each cost, in pictures of different brightness."""
+    torch.manual_seed(0)
+    colours = torch.tensor([[90, 60, 40], [60, 90, 40], [40, 60, 90], [90, 90, 40], [70, 70, 70]])
+
+    def plain(count: int, seed: int) -> Sample:
+        samples = batch(count, seed)
+        kinds = torch.searchsorted(torch.tensor([8, 12, 53, 77, 92]), samples.terrain[:, 0])
+        light = torch.randint(0, 140, (count, 1, 1, 1))
+        cells = colours[kinds].permute(0, 3, 1, 2) + light  # (B, 3, H, W)
+        image = cells.repeat_interleave(8, dim=2).repeat_interleave(8, dim=3)
+        painted: Sample = samples._replace(image=image.byte())
+        return painted
+
+    model = CostPredictor()
+    optimizer = torch.optim.Adam(model.parameters(), 0.01)
+    for step in range(60):
+        loss = model.losses(plain(16, 100 + step))["loss"]
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    assert planned_regret(model, plain(100, 9)) < 0.02
+
+
 def test_the_weights_that_ship_find_nearly_optimal_paths() -> None:
     """On new maps, and the textures of the training; docs/costs.md has the figures."""
     samples = batch(200, seed=77)
     assert planned_regret(CostPredictor.pretrained(), samples) < 0.002
+
+
+@pytest.mark.parametrize(("contrast", "light"), [(1.0, 40), (1.0, -40), (0.5, 0), (1.5, 0)])
+def test_the_weights_that_ship_bear_another_light(contrast: float, light: int) -> None:
+    """And light that falls from one side; docs/costs.md has the figures."""
+    samples = batch(100, seed=78)
+    levels = 128 + contrast * (samples.image.double() - 128) + light
+    levels += torch.linspace(-20, 20, levels.shape[2])[:, None]
+    changed = samples._replace(image=levels.round().clamp(0, 255).byte())
+    assert planned_regret(CostPredictor.pretrained(), changed) < 0.002
