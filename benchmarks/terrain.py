@@ -169,6 +169,9 @@ class StoredMaps:
     stored_terrain: Bytes
     stored_grids: Bytes
     symmetries: npt.NDArray[np.int64]
+    problems: npt.NDArray[np.int64]
+    sampling_seed: int = 0
+    epoch: int = 0
 
 
 def naive_pictures(terrain: Bytes, textures: Bytes, noise: int) -> Bytes:
@@ -189,7 +192,7 @@ def picture_rows(rounds: int) -> list[Row]:
     source = np.random.default_rng(0)
     terrain = source.integers(1, 6, (8, SIDE, SIDE), np.uint8)
     no_symmetries = np.zeros(len(terrain), np.int64)
-    maps = StoredMaps(terrain, (terrain == 0).astype(np.uint8), no_symmetries)
+    maps = StoredMaps(terrain, (terrain == 0).astype(np.uint8), no_symmetries, np.arange(8))
     textures = source.integers(0, 256, (6, 1024, 3, 8, 8), np.uint8)
     rows = []
     for noise, target in ((0, ""), (10, "0.5 us")):

@@ -225,21 +225,20 @@ TAUGHT_BY = {
 """How the table calls each loss."""
 
 
+def place(row: dict[str, Any]) -> tuple[int, ...]:
+    """Return what orders the rows of the table: maps, loss, number of maps, newer network first."""
+    return (
+        list(FAMILIES).index(row["maps"]),
+        list(TAUGHT_BY).index(row["loss"]),
+        -row["training_maps"],
+        int(row.get("network", NETWORK) != NETWORK),
+    )
+
+
 def table(rows: list[dict[str, Any]]) -> str:
     """Return the rows as a Markdown table, the seeds of a training as one row of means."""
-
-    def place(row: dict[str, Any]) -> tuple[int, ...]:
-        """Return what orders a row: maps, loss, number of maps, and the newer network first."""
-        families, losses = list(FAMILIES), list(TAUGHT_BY)
-        is_old = row.get("network", NETWORK) != NETWORK
-        return (
-            families.index(row["maps"]),
-            losses.index(row["loss"]),
-            -row["training_maps"],
-            int(is_old),
-        )
-
-    frame = pd.DataFrame(sorted(rows, key=place))
+    ordered: list[dict[str, Any]] = sorted(rows, key=place)
+    frame = pd.DataFrame(ordered)
     lines = [
         "| maps | taught by | training maps | network of | optimal | regret "
         "| new textures: optimal | regret |",

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from mapdata import ProblemSet
+from mapdata.models import CostPredictor
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -31,3 +32,16 @@ def test_a_row_names_its_problems(monkeypatch: pytest.MonkeyPatch) -> None:
     problems: ProblemSet = image_tables.problems_of(image_tables.FAMILIES["tiles 12"])
     hashes = {row["set"] for row in rows if row["maps"] == "tiles 12"}
     assert hashes == {problems.content_hash}
+
+
+def test_rows_name_their_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows of the network of today have the number of its weights, and earlier ones another."""
+    monkeypatch.syspath_prepend(str(DOCS))
+    import image_tables
+
+    rows = json.loads((DOCS / "image_results.json").read_text())
+    parameters = sum(weight.numel() for weight in CostPredictor().parameters())
+    for row in rows:
+        if row["loss"] != "none":
+            is_current = row["network"] == image_tables.NETWORK
+            assert is_current == (row["parameters"] == parameters)
