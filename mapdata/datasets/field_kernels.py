@@ -1,6 +1,10 @@
 """The kernels of `mapdata.datasets.fields`: each fills one or more fields for a whole batch.
 
 `count_shortest_paths` counts what the fields of all shortest paths hold.
+
+Kernels that search return, last, the number of the first map with a cost that is too high to be
+exact, and this doubled cost; both are the number of maps and 0 if all costs are exact. With a high
+cost, what has been filled is to be thrown away.
 """
 
 from __future__ import annotations
@@ -9,24 +13,30 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Float32s, Ints, UInt32s
+from mapdata.arrays import Bytes, Float32s, Floats, Ints, UInt32s
 from mapdata.jit import Int, inlined, kernel
 from mapdata.movement import STEPS
 from mapdata.search.bitboard import write_optimal_moves
-from mapdata.search.kernels import Scratch, cost_at, new_scratch, shortest_costs
+from mapdata.search.ground import (
+    EXACT,
+    PaddedTerrain,
+    cost_in_cells,
+    heuristic_on,
+    load_map,
+    load_terrain,
+)
+from mapdata.search.kernels import Scratch, new_scratch
 from mapdata.search.lattice import (
     ASTAR,
-    INFINITY,
     Lattice,
     MoveRule,
     cell_at,
     cells_of,
-    heuristic,
-    in_cells,
     lattice_of,
-    load,
     position,
 )
+from mapdata.search.solving import shortest_costs_on
+from mapdata.search.terrain import shortest_terrain_costs
 
 PADDING = -1
 """Fills the rows of ``path`` behind the cells of a path."""
@@ -87,73 +97,126 @@ def mask_paths(cells: Ints, offsets: Ints, rows: Int, columns: Int) -> Bytes:
 
 
 @kernel
-def count_steps(cells: Ints, offsets: Ints) -> tuple[Ints, Ints]:
-    """Return straight and diagonal steps (B,) of each path, (-1, 0) for an empty one.
+def sum_steps(terrains: Bytes | None, cells: Ints, offsets: Ints) -> Ints:
+    """Return the sums (B, 2) over straight and over diagonal steps of each path.
 
-    ``cells`` (M, 2) and ``offsets`` (B + 1,) are the paths, as in `pad_paths`.
+    Without terrain these are the numbers of steps, on terrain the sums S and D of the doubled cost
+    (`mapdata.search.ground`). An empty path has (-1, 0).
+
+    Args:
+        terrains: (B, H, W), or None.
+        cells: (M, 2) cells of the paths, as in `pad_paths`.
+        offsets: (B + 1,) where each path begins in there.
     """
-    straight = np.full(len(offsets) - 1, -1)
-    diagonal = np.zeros(len(offsets) - 1, np.int64)
-    for b in range(len(straight)):
-        if offsets[b + 1] > offsets[b]:
-            straight[b] = 0
+    sums = np.zeros((len(offsets) - 1, 2), np.int64)
+    for b in range(len(sums)):
+        if offsets[b + 1] == offsets[b]:
+            sums[b, 0] = -1
         for k in range(offsets[b] + 1, offsets[b + 1]):
-            if cells[k, 0] != cells[k - 1, 0] and cells[k, 1] != cells[k - 1, 1]:
-                diagonal[b] += 1
-            else:
-                straight[b] += 1
-    return straight, diagonal
+            is_diagonal = cells[k, 0] != cells[k - 1, 0] and cells[k, 1] != cells[k - 1, 1]
+            cost = np.int64(1)
+            if terrains is not None:
+                cost = np.int64(terrains[b, cells[k, 0], cells[k, 1]])
+                cost += np.int64(terrains[b, cells[k - 1, 0], cells[k - 1, 1]])
+            sums[b, 1 if is_diagonal else 0] += cost
+    return sums
+
+
+@kernel
+def _search_around(
+    goal: tuple[Int, Int],
+    map_: Bytes,
+    needs_costs: bool,
+    cell_costs: Bytes | None,
+    lattice: Lattice,
+    scratch: Scratch,
+) -> tuple[PaddedTerrain | None, Int]:
+    """Find which moves of a map (H, W) begin shortest paths to ``goal`` (row, col), and the costs.
+
+    On grids the costs may be left out, as `write_optimal_moves` explains. Returns the ground; and
+    0, or the doubled cost that is too high to be exact.
+    """
+    if cell_costs is None:
+        write_optimal_moves(map_, goal[0], goal[1], needs_costs, lattice, scratch)
+        return None, EXACT
+    ground = load_terrain(map_, lattice, cell_costs, scratch.came_from)
+    source = np.full(1, cell_at(goal[0], goal[1], lattice))
+    return ground, shortest_terrain_costs(source, ground, lattice, scratch)
 
 
 @kernel
 def fill_goal_fields(
-    grids: Bytes, starts: Ints, goals: Ints, rule: MoveRule, fields: GoalFields
-) -> None:
+    maps: Bytes,
+    cell_costs: Bytes | None,
+    starts: Ints,
+    goals: Ints,
+    rule: MoveRule,
+    fields: GoalFields,
+) -> tuple[Int, Int]:
     """Fill those of the fields that are not empty, by one search from the goal of each problem.
 
     Args:
-        grids: (B, H, W).
+        maps: (B, H, W) grids or terrain.
+        cell_costs: as from `as_ground`.
         starts: (B, 2) cells.
         goals: (B, 2) cells.
         rule: as `move_rule` returns it.
         fields: to be filled.
     """
     cost_to_go, optimal_moves, heuristic_ratio, optimal_mask = fields
-    _, rows, columns = grids.shape
+    count, rows, columns = maps.shape
     lattice = lattice_of((rows, columns), rule)
     scratch = new_scratch(ASTAR, lattice)
     moves = scratch.came_from
     needs_costs = len(cost_to_go) + len(heuristic_ratio) > 0
-    for b in range(len(grids)):
-        goal_row = goals[b, 0]
-        goal_column = goals[b, 1]
-        write_optimal_moves(grids[b], goal_row, goal_column, needs_costs, lattice, scratch)
+    for b in range(count):
+        goal = (goals[b, 0], goals[b, 1])
+        ground, high_cost = _search_around(goal, maps[b], needs_costs, cell_costs, lattice, scratch)
+        if high_cost:
+            return b, high_cost
         if len(optimal_moves):
             for row in range(rows):
                 first = np.uint64(cell_at(row, 0, lattice))
                 for column in range(columns):
                     optimal_moves[b, 0, row, column] = moves[first + np.uint64(column)]
         if needs_costs:
-            for row in range(rows):
-                for column in range(columns):
-                    cost = cost_at(cell_at(row, column, lattice), scratch)
-                    if len(cost_to_go):
-                        cost_to_go[b, 0, row, column] = cost
-                    if len(heuristic_ratio):
-                        lower_bound = in_cells(
-                            heuristic(row - goal_row, column - goal_column, lattice)
-                        )
-                        heuristic_ratio[b, 0, row, column] = ratio_of(lower_bound, cost)
+            _write_goal_costs(b, goal, ground, lattice, scratch, cost_to_go, heuristic_ratio)
         if len(optimal_mask):
             optimal_mask[b] = 0
             start = cell_at(starts[b, 0], starts[b, 1], lattice)
-            goal = cell_at(goal_row, goal_column, lattice)
-            if moves[start] or start == goal:
-                mark_optimal_cells(start, moves, lattice, scratch.pushed, optimal_mask[b, 0])
+            if moves[start] or start == cell_at(goal[0], goal[1], lattice):
+                _mark_optimal_cells(start, moves, lattice, scratch.pushed, optimal_mask[b, 0])
+    return count, EXACT
+
+
+@kernel
+def _write_goal_costs(
+    b: Int,
+    goal: tuple[Int, Int],
+    ground: PaddedTerrain | None,
+    lattice: Lattice,
+    scratch: Scratch,
+    cost_to_go: Float32s,
+    heuristic_ratio: Float32s,
+) -> None:
+    """Write the costs that a search around the goal of problem b left, and the ratios to them.
+
+    One of the two fields of `GoalFields` may be empty.
+    """
+    _, _, rows, columns = cost_to_go.shape if len(cost_to_go) else heuristic_ratio.shape
+    for row in range(rows):
+        for column in range(columns):
+            cost = cost_in_cells(scratch.g[cell_at(row, column, lattice)], ground)
+            if len(cost_to_go):
+                cost_to_go[b, 0, row, column] = cost
+            if len(heuristic_ratio):
+                lower_bound = heuristic_on(row - goal[0], column - goal[1], ground, lattice)
+                ratio = _ratio_of(cost_in_cells(lower_bound, ground), cost)
+                heuristic_ratio[b, 0, row, column] = ratio
 
 
 @inlined
-def ratio_of(lower_bound: float, cost: float) -> float:
+def _ratio_of(lower_bound: float, cost: float) -> float:
     """Return the heuristic divided by the cost: 1 at the goal, 0 where there is no path."""
     if cost > 0:
         return lower_bound / cost
@@ -161,7 +224,7 @@ def ratio_of(lower_bound: float, cost: float) -> float:
 
 
 @kernel
-def mark_optimal_cells(
+def _mark_optimal_cells(
     start: Int, moves: Bytes, lattice: Lattice, stack: UInt32s, mask: Bytes
 ) -> None:
     """Mark all cells of all shortest paths from ``start`` to a goal.
@@ -241,94 +304,105 @@ def count_shortest_paths(optimal_moves: Bytes, optimal_mask: Bytes, starts: Ints
 
 @kernel
 def path_probabilities(
-    grids: Bytes, starts: Ints, goals: Ints, cells: Ints, offsets: Ints, rule: MoveRule
-) -> Float32s:
+    maps: Bytes,
+    cell_costs: Bytes | None,
+    starts: Ints,
+    goals: Ints,
+    cells: Ints,
+    offsets: Ints,
+    rule: MoveRule,
+) -> tuple[Float32s, Int, Int]:
     """Return TransPath's path probability maps, (B, 1, H, W) float32.
 
     The probability of a cell n is L / (d(start, n) + d(n, goal) + d(n, path)), where L is the cost
     of the path and d that of a shortest path. Below 0.95 it is set to 0.
 
     Args:
-        grids: (B, H, W).
+        maps: (B, H, W) grids or terrain.
+        cell_costs: as from `as_ground`.
         starts: (B, 2) cells.
         goals: (B, 2) cells.
         cells: (M, 2), the cells of all paths, one after another.
         offsets: (B + 1,) where each path begins in there.
         rule: as `move_rule` returns it.
     """
-    count, rows, columns = grids.shape
+    count, rows, columns = maps.shape
     lattice = lattice_of((rows, columns), rule)
-    around_start = new_scratch(ASTAR, lattice)
-    around_goal = new_scratch(ASTAR, lattice)
-    around_path = new_scratch(ASTAR, lattice)
+    scratch = new_scratch(ASTAR, lattice)
+    from_start = np.empty((rows, columns))
+    to_goal = np.empty((rows, columns))
+    to_path = np.empty((rows, columns))
     probabilities = np.zeros((count, 1, rows, columns), np.float32)
     for b in range(count):
         path = cells_of(cells[offsets[b] : offsets[b + 1]], lattice)
         if len(path) == 0:
             continue
-        write_optimal_moves(grids[b], starts[b, 0], starts[b, 1], True, lattice, around_start)
-        write_optimal_moves(grids[b], goals[b, 0], goals[b, 1], True, lattice, around_goal)
-        load(grids[b], around_path.came_from)
-        shortest_costs(path, INFINITY, lattice, around_path)
-        path_cost = cost_at(path[0], around_goal)
+        for sources, costs in ((path[:1], from_start), (path[-1:], to_goal)):
+            _, ground = load_map(maps[b], cell_costs, lattice, scratch.came_from)
+            high_cost = shortest_costs_on(sources, ground, lattice, scratch)
+            if high_cost:
+                return probabilities, b, high_cost
+            _write_costs(ground, lattice, scratch, costs)
+        # No cell is farther from the path than from its start, so no cost is too high.
+        _, ground = load_map(maps[b], cell_costs, lattice, scratch.came_from)
+        shortest_costs_on(path, ground, lattice, scratch)
+        _write_costs(ground, lattice, scratch, to_path)
+        path_cost = to_goal[starts[b, 0], starts[b, 1]]
         for row in range(rows):
             for column in range(columns):
-                cell = cell_at(row, column, lattice)
-                probability = _path_probability(
-                    path_cost, cell, around_start, around_goal, around_path
-                )
+                if from_start[row, column] < 0:
+                    continue
+                detour_cost = from_start[row, column] + to_goal[row, column] + to_path[row, column]
+                # The sum is 0 only if the path is a single cell.
+                probability = path_cost / detour_cost if detour_cost > 0 else 1.0
                 if probability >= PROBABLE:
                     probabilities[b, 0, row, column] = probability
-    return probabilities
-
-
-@inlined
-def _path_probability(
-    path_cost: float,
-    cell: Int,
-    around_start: Scratch,
-    around_goal: Scratch,
-    around_path: Scratch,
-) -> float:
-    """Return the probability of a padded cell, 0 if no path leads there; see `path_probabilities`.
-
-    The last three arguments hold the costs from the start, from the goal and from the path.
-    """
-    from_start = cost_at(cell, around_start)
-    if from_start < 0:
-        return 0.0
-    detour_cost = from_start + cost_at(cell, around_goal) + cost_at(cell, around_path)
-    # The sum is 0 only if the path is a single cell.
-    return path_cost / detour_cost if detour_cost > 0 else 1.0
+    return probabilities, count, EXACT
 
 
 @kernel
-def fill_room_matrices(grids: Bytes, seed_points: Ints, rule: MoveRule) -> Float32s:
+def _write_costs(
+    ground: PaddedTerrain | None, lattice: Lattice, scratch: Scratch, costs: Floats
+) -> None:
+    """Write the costs that a search left in ``scratch.g`` to ``costs`` (H, W), in cells."""
+    for row in range(costs.shape[0]):
+        for column in range(costs.shape[1]):
+            costs[row, column] = cost_in_cells(scratch.g[cell_at(row, column, lattice)], ground)
+
+
+@kernel
+def fill_room_matrices(
+    maps: Bytes, cell_costs: Bytes | None, seed_points: Ints, rule: MoveRule
+) -> tuple[Float32s, Int, Int]:
     """Return (B, R, R) float32 of costs between seed points.
 
     It is 0 on the diagonal, -1 where there is no connection, and -2 beyond the rooms of a map.
 
     Args:
-        grids: (B, H, W).
+        maps: (B, H, W) grids or terrain.
+        cell_costs: as from `as_ground`.
         seed_points: (B, R, 2) cells, -1 beyond the rooms of a map.
         rule: as `move_rule` returns it.
     """
-    lattice = lattice_of(grids.shape[1:], rule)
+    count = len(maps)
+    lattice = lattice_of(maps.shape[1:], rule)
     scratch = new_scratch(ASTAR, lattice)
     max_rooms = seed_points.shape[1]
-    matrices = np.full((len(grids), max_rooms, max_rooms), NO_ROOM, np.float32)
-    for b in range(len(grids)):
+    matrices = np.full((count, max_rooms, max_rooms), NO_ROOM, np.float32)
+    for b in range(count):
         rooms = 0
         while rooms < max_rooms and seed_points[b, rooms, 0] >= 0:
             rooms += 1
+        cells = cells_of(seed_points[b, :rooms], lattice)
         for i in range(rooms):
-            row = seed_points[b, i, 0]
-            column = seed_points[b, i, 1]
-            write_optimal_moves(grids[b], row, column, True, lattice, scratch)
+            if i == 0 or cell_costs is None:  # Searches leave the costs of terrain as they are.
+                _, ground = load_map(maps[b], cell_costs, lattice, scratch.came_from)
+            high_cost = shortest_costs_on(cells[i : i + 1], ground, lattice, scratch)
+            if high_cost:
+                return matrices, b, high_cost
             for j in range(rooms):
-                cell = cell_at(seed_points[b, j, 0], seed_points[b, j, 1], lattice)
-                # `cost_at` is -1 without a path, which is the sign for no connection, too.
-                matrices[b, i, j] = cost_at(cell, scratch)
+                # -1 stands for a missing path as well as for no connection.
+                matrices[b, i, j] = cost_in_cells(scratch.g[cells[j]], ground)
             # The robot may have no room on a seed point, whose cost would then be -1.
             matrices[b, i, i] = 0
-    return matrices
+    return matrices, count, EXACT

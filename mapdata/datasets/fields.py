@@ -17,25 +17,20 @@ from mapdata.arrays import Array, Bytes, Float32s, Floats, Ints, offsets_of, sum
 from mapdata.checks import check_count, check_flag
 from mapdata.datasets.field_kernels import (
     GoalFields,
-    count_steps,
     fill_goal_fields,
     fill_room_matrices,
     mask_paths,
     pad_paths,
     path_probabilities,
+    sum_steps,
 )
 from mapdata.datasets.sample import padded_path_length
-from mapdata.datasets.terrain_field_kernels import (
-    fill_terrain_goal_fields,
-    fill_terrain_room_matrices,
-    sum_terrain_steps,
-    terrain_path_probabilities,
-)
 from mapdata.datasets.tiles import Tiles
 from mapdata.movement import Movement
 from mapdata.problems.symmetry import transform_grids
 from mapdata.search.api import SEARCHES, check_cost, search_terrains, solve_batch
 from mapdata.search.footprint import clearances, without_occupied
+from mapdata.search.ground import as_ground
 from mapdata.search.lattice import UNIT, move_rule
 from mapdata.search.lattice import hardness as hardness_of
 from mapdata.search.taut import NOT_FREE, robot_of, write_waypoints
@@ -233,10 +228,11 @@ class Batch:
         """(B,) cost of the paths, -1 without a path; BFS counts moves."""
         cells, offsets, _ = self.paths
         if self.search == "astar" and self.terrain is not None:
-            return costs_from_sums(sum_terrain_steps(self.terrain, cells, offsets), self.movement)
-        straight_moves, diagonal_moves = count_steps(cells, offsets)
+            return costs_from_sums(sum_steps(self.terrain, cells, offsets), self.movement)
+        straight_moves, diagonal_moves = sum_steps(None, cells, offsets).T
         diagonal_cost = 1.0 if self.search == "bfs" else self.movement.diagonal_cost
-        return straight_moves + diagonal_moves * diagonal_cost
+        costs: Floats = straight_moves + diagonal_moves * diagonal_cost
+        return costs
 
     @cached_property
     def goal_fields(self) -> GoalFields:
@@ -248,12 +244,11 @@ class Batch:
             arrays.append(np.empty((count, 1, *self.grids.shape[1:]), dtype))
         goal_fields = GoalFields(*arrays)
         rule = move_rule(self.movement)
-        if self.terrain is None:
-            fill_goal_fields(self.grids, self.starts, self.goals, rule, goal_fields)
-        else:
-            row, high_cost = fill_terrain_goal_fields(
-                self.terrain, self.starts, self.goals, rule, goal_fields
-            )
+        maps, cell_costs = as_ground(self.grids, self.terrain)
+        row, high_cost = fill_goal_fields(
+            maps, cell_costs, self.starts, self.goals, rule, goal_fields
+        )
+        if high_cost:  # Otherwise the numbers of the maps are not needed, which may be dear.
             check_cost(self.map_numbers, row, high_cost)
         return goal_fields
 
@@ -403,12 +398,12 @@ def path_probability(batch: Batch) -> Float32s:
     """
     cells, offsets, _ = batch.with_astar.paths
     rule = move_rule(batch.movement)
-    if batch.terrain is None:
-        return path_probabilities(batch.grids, batch.starts, batch.goals, cells, offsets, rule)
-    probabilities, row, high_cost = terrain_path_probabilities(
-        batch.terrain, batch.starts, batch.goals, cells, offsets, rule
+    maps, cell_costs = as_ground(batch.grids, batch.terrain)
+    probabilities, row, high_cost = path_probabilities(
+        maps, cell_costs, batch.starts, batch.goals, cells, offsets, rule
     )
-    check_cost(batch.map_numbers, row, high_cost)
+    if high_cost:  # Otherwise the numbers of the maps are not needed, which may be dear.
+        check_cost(batch.map_numbers, row, high_cost)
     return probabilities
 
 
@@ -673,7 +668,8 @@ def room_matrices(search: str, grids: Bytes, seed_points: Ints, movement: Moveme
     diagonals, diagonal_cost = move_rule(movement)
     if search == "bfs":
         diagonal_cost = UNIT
-    return fill_room_matrices(grids, seed_points, (diagonals, diagonal_cost))
+    matrices, _, _ = fill_room_matrices(grids, None, seed_points, (diagonals, diagonal_cost))
+    return matrices
 
 
 def terrain_room_matrices(
@@ -690,6 +686,8 @@ def terrain_room_matrices(
     Raises:
         ValueError: costs that are too high to be exact; the message has the number of the map.
     """
-    matrices, row, high_cost = fill_terrain_room_matrices(terrain, seed_points, move_rule(movement))
+    maps, cell_costs = as_ground(terrain, terrain)
+    rule = move_rule(movement)
+    matrices, row, high_cost = fill_room_matrices(maps, cell_costs, seed_points, rule)
     check_cost(map_numbers, row, high_cost)
     return matrices

@@ -33,7 +33,6 @@ from mapdata.generators.splits import SplitMaps, draw_splits, maps_of_split, spl
 from mapdata.limits import SPLITS
 from mapdata.problems.sampling import solve_pairs
 from mapdata.problems.sources import Random, Route, SourceLike, problem_source
-from mapdata.problems.terrain_sampling import solve_terrain_pairs
 from mapdata.search.api import SEARCHES, check_cost
 from mapdata.search.footprint import min_squared_clearance, without_occupied
 from mapdata.search.lattice import move_rule
@@ -227,17 +226,15 @@ class OnlineMapDataset(SampledProblemDataset):
             isinstance(problems, Route),
             problems.unsolvable,
         )
+        terrain = None
         # BFS counts moves, on terrain, too.
         if self.serving.search == "astar" and stored_maps.terrain is not None:
             terrain = without_occupied(stored_maps.terrain, grids)
-            ends, cells, offsets, iterations, row, high_cost = solve_terrain_pairs(
-                terrain, *arguments, rule
-            )
-            check_cost(stored_maps.numbers, row, high_cost)
-        else:
-            search = SEARCHES[self.serving.search]
-            ends, cells, offsets, iterations = solve_pairs(grids, *arguments, search, rule)
-        return SampledProblems(stored_maps, grids, ends, Paths(cells, offsets, iterations))
+        search = SEARCHES[self.serving.search]
+        ends, solved = solve_pairs(grids, terrain, *arguments, search, rule)
+        check_cost(stored_maps.numbers, solved.done, solved.high_cost)
+        paths = Paths(solved.cells, solved.offsets, solved.expansions)
+        return SampledProblems(stored_maps, grids, ends, paths)
 
 
 def _as_stored_maps(maps: Maps) -> StoredMaps:

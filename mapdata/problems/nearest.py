@@ -17,26 +17,27 @@ from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Bands, Random
 from mapdata.rng import PROBLEM, block, bounded
 from mapdata.search.api import search_terrains
-from mapdata.search.kernels import new_scratch, shortest_costs
+from mapdata.search.ground import (
+    PaddedTerrain,
+    as_ground,
+    cost_in_cells,
+    heuristic_on,
+    is_usable_end,
+    load_map,
+)
+from mapdata.search.kernels import Scratch, new_scratch
 from mapdata.search.lattice import (
     ASTAR,
-    INFINITY,
+    UNSEEN,
+    Lattice,
     MoveRule,
     cell_at,
-    heuristic,
-    in_cells,
     lattice_of,
-    load,
     move_rule,
     position,
     split_cost,
 )
-from mapdata.search.terrain import (
-    cost_in_cells,
-    load_terrain,
-    shortest_terrain_costs,
-    terrain_heuristic,
-)
+from mapdata.search.solving import shortest_costs_on
 
 NAMES = ("distance", "hardness", "length")
 """The quantities that a band limits, in the order of `Random.bands`."""
@@ -85,12 +86,11 @@ def see_values(
     key = np.uint64(seed)
     rule = move_rule(movement)
     bands = np.array(problems.bands)
-    if terrain is None:
-        see_starts(seen, grids, goals, key, epoch, indices, draws, bands, rule)
-        return
-    if problems.length is None or problems.distance is not None or problems.hardness is not None:
-        see_terrain_starts(seen, terrain, goals, key, epoch, indices, draws, bands, rule)
-    if problems.length is None:
+    is_length_alone = problems.distance is None and problems.hardness is None
+    if terrain is None or problems.length is None or not is_length_alone:
+        maps, cell_costs = as_ground(grids, terrain)
+        see_starts(seen, maps, cell_costs, goals, key, epoch, indices, draws, bands, rule)
+    if terrain is None or problems.length is None:
         return
     distances, ratios, _ = problems.bands
     open_bands: Bands = (distances, ratios, (0.0, math.inf))
@@ -113,7 +113,8 @@ def see_values(
 @kernel
 def see_starts(
     seen: Floats,
-    grids: Bytes,
+    maps: Bytes,
+    cell_costs: Bytes | None,
     goals: Ints | None,
     seed: np.uint64,
     epoch: Int,
@@ -122,84 +123,56 @@ def see_starts(
     bands: Floats,
     rule: MoveRule,
 ) -> None:
-    """Do what `see_values` does, on maps without terrain; ``bands`` is (3, 2)."""
-    lattice = lattice_of(grids.shape[1:], rule)
+    """Do what `see_values` does, on terrain for distance and hardness alone.
+
+    ``maps`` and ``cell_costs`` are from `as_ground`; ``bands`` is (3, 2).
+    """
+    lattice = lattice_of(maps.shape[1:], rule)
     scratch = new_scratch(ASTAR, lattice)
-    for b in range(len(grids)):
-        free_cells = np.flatnonzero(grids[b].reshape(-1) == 0)
+    for b in range(len(maps)):
+        load_map(maps[b], cell_costs, lattice, scratch.came_from)
+        free_cells = np.flatnonzero(scratch.came_from == UNSEEN)
         if len(free_cells) < 2:
             continue
         for draw in range(*draws):
-            if goals is None:
-                word, _, _, _ = block(seed, np.uint64(indices[b]), epoch, PROBLEM, draw)
-                number = free_cells[bounded(word, 0, len(free_cells) - 1)]
-                row = number // grids.shape[2]
-                column = number % grids.shape[2]
-            else:
-                row = goals[b, 0]
-                column = goals[b, 1]
-                # An only goal has the same starts in each draw.
-                if row < 0 or grids[b, row, column] or draw > draws[0]:
-                    break
-            load(grids[b], scratch.came_from)
-            goal = cell_at(row, column, lattice)
-            shortest_costs(np.full(1, goal), INFINITY, lattice, scratch)
-            for cell in range(lattice.cells):
-                cost = scratch.g[cell]
-                if 0 < cost < INFINITY:
-                    start_row, start_column = position(cell, lattice)
-                    lower_bound = heuristic(start_row - row, start_column - column, lattice)
-                    straight, diagonal = split_cost(cost)
-                    see_value(seen[0], bands[0], in_cells(cost))
-                    see_value(seen[1], bands[1], in_cells(cost) / in_cells(lower_bound))
-                    see_value(seen[2], bands[2], float(straight + diagonal + 1))
-
-
-@kernel
-def see_terrain_starts(
-    seen: Floats,
-    terrains: Bytes,
-    goals: Ints | None,
-    seed: np.uint64,
-    epoch: Int,
-    indices: Ints,
-    draws: tuple[Int, Int],
-    bands: Floats,
-    rule: MoveRule,
-) -> None:
-    """Do what `see_values` does for distance and hardness on terrain; ``bands`` is (3, 2)."""
-    lattice = lattice_of(terrains.shape[1:], rule)
-    scratch = new_scratch(ASTAR, lattice)
-    cell_costs = np.zeros(lattice.cells, np.uint8)
-    for b in range(len(terrains)):
-        padded = load_terrain(terrains[b], lattice, cell_costs, scratch.came_from)
-        free_cells = np.flatnonzero(cell_costs)
-        if len(free_cells) < 2:
-            continue
-        for draw in range(*draws):
+            _, ground = load_map(maps[b], cell_costs, lattice, scratch.came_from)
             if goals is None:
                 word, _, _, _ = block(seed, np.uint64(indices[b]), epoch, PROBLEM, draw)
                 goal = free_cells[bounded(word, 0, len(free_cells) - 1)]
             else:
-                if goals[b, 0] < 0 or terrains[b, goals[b, 0], goals[b, 1]] == 0:
-                    break
                 # An only goal has the same starts in each draw.
+                if not is_usable_end(goals[b], maps.shape[1:], 0, lattice, scratch.came_from):
+                    break
                 if draw > draws[0]:
                     break
                 goal = cell_at(goals[b, 0], goals[b, 1], lattice)
-            row, column = position(goal, lattice)
             # No cost is too high to be exact: the search in vain has computed them all.
-            shortest_terrain_costs(np.full(1, goal), padded, lattice, scratch)
-            for cell in free_cells:
-                cost = cost_in_cells(scratch.g[cell], padded)
-                if cost > 0:
-                    start_row, start_column = position(cell, lattice)
-                    lower_bound = cost_in_cells(
-                        terrain_heuristic(start_row - row, start_column - column, padded, lattice),
-                        padded,
-                    )
-                    see_value(seen[0], bands[0], cost)
-                    see_value(seen[1], bands[1], cost / lower_bound)
+            shortest_costs_on(np.full(1, goal), ground, lattice, scratch)
+            _see_costs(seen, free_cells, goal, ground, bands, lattice, scratch)
+
+
+@kernel
+def _see_costs(
+    seen: Floats,
+    free_cells: Ints,
+    goal: Int,
+    ground: PaddedTerrain | None,
+    bands: Floats,
+    lattice: Lattice,
+    scratch: Scratch,
+) -> None:
+    """Add to ``seen`` what a search around ``goal``, a padded cell, says of ``free_cells``."""
+    row, column = position(goal, lattice)
+    for cell in free_cells:
+        cost = cost_in_cells(scratch.g[cell], ground)
+        if cost > 0:
+            start_row, start_column = position(cell, lattice)
+            lower_bound = heuristic_on(start_row - row, start_column - column, ground, lattice)
+            see_value(seen[0], bands[0], cost)
+            see_value(seen[1], bands[1], cost / cost_in_cells(lower_bound, ground))
+            if ground is None:
+                straight, diagonal = split_cost(scratch.g[cell])
+                see_value(seen[2], bands[2], float(straight + diagonal + 1))
 
 
 @kernel

@@ -35,7 +35,6 @@ from mapdata.problems.sources import (
     problem_source,
 )
 from mapdata.problems.substitutes import RARE_SHARE, most_maps, say_rare
-from mapdata.problems.terrain_sampling import solve_terrain_pairs
 from mapdata.search.api import (
     BatchResult,
     as_grid,
@@ -1015,22 +1014,8 @@ def _sample_pairs(batch: _MapBatch, only_route: bool, seed: int, movement: Movem
     """
     epoch = 0
     keep_unsolvable = False
-    rule = move_rule(movement)
-    if batch.terrain is None:
-        ends, *_ = solve_pairs(
-            batch.grids,
-            batch.seed_points,
-            batch.seed_point_counts,
-            np.uint64(seed),
-            epoch,
-            batch.indices,
-            only_route,
-            keep_unsolvable,
-            ASTAR,
-            rule,
-        )
-        return ends
-    ends, _, _, _, failed, high_cost = solve_terrain_pairs(
+    ends, solved = solve_pairs(
+        batch.grids,
         batch.terrain,
         batch.seed_points,
         batch.seed_point_counts,
@@ -1039,9 +1024,10 @@ def _sample_pairs(batch: _MapBatch, only_route: bool, seed: int, movement: Movem
         batch.indices,
         only_route,
         keep_unsolvable,
-        rule,
+        ASTAR,
+        move_rule(movement),
     )
-    check_cost(batch.indices, failed, high_cost)
+    check_cost(batch.indices, solved.done, solved.high_cost)
     return ends
 
 

@@ -26,13 +26,21 @@ from mapdata.search.bitboard import (
     nth_cell,
     word_at,
 )
+from mapdata.search.ground import (
+    EXACT,
+    PaddedTerrain,
+    as_ground,
+    cost_in_cells,
+    load_map,
+    load_terrain,
+    terrain_heuristic,
+)
 from mapdata.search.jump_points import find_free_neighbours, jump_costs
 from mapdata.search.kernels import (
     Scratch,
     count_moves,
     new_scratch,
     shortest_costs,
-    solve_loaded,
     with_capacity,
     write_cells,
 )
@@ -58,14 +66,8 @@ from mapdata.search.lattice import (
     position,
     split_cost,
 )
-from mapdata.search.terrain import (
-    PaddedTerrain,
-    cost_in_cells,
-    load_terrain,
-    shortest_terrain_costs,
-    terrain_astar,
-    terrain_heuristic,
-)
+from mapdata.search.solving import Solved, search_loaded
+from mapdata.search.terrain import shortest_terrain_costs, terrain_astar
 
 _LOWEST_BITS_TO_TOP_BYTE = np.uint64(0x0102040810204080)
 
@@ -571,6 +573,7 @@ def _terrain_path_length(
 
 def solve_pairs(
     grids: Bytes,
+    terrains: Bytes | None,
     seed_points: Ints,
     rooms: Ints,
     seed: np.uint64,
@@ -580,13 +583,15 @@ def solve_pairs(
     keep_unsolvable: int,
     weights: CostWeights,
     rule: MoveRule,
-) -> tuple[Ints, Ints, Ints, Ints]:
-    """Sample a pair of seed points on each grid and search its path.
+) -> tuple[Ints, Solved]:
+    """Sample a pair of seed points on each map and search its path.
 
     If a pair has no path, the next one is tried, until all pairs of the map have been tried.
+    Whether a pair has a path does not depend on costs.
 
     Args:
         grids: (B, H, W).
+        terrains: (B, H, W) that fit the grids; None without terrain, and for BFS.
         seed_points: (B, R, 2) cells.
         rooms: (B,) number of seed points.
         seed: sampling seed.
@@ -598,12 +603,14 @@ def solve_pairs(
         rule: as `move_rule` returns it.
 
     Returns:
-        The start and the goal of each problem (B, 4), -1 if no pair fits; the cells (M, 2) of the
-        paths and their offsets (B + 1,) in there; the expansions (B,).
+        The start and the goal of each problem (B, 4), -1 if no pair fits; and their paths. If a
+        cost is too high to be exact, the problems from that one on are not sampled.
     """
-    diagonals = diagonal_moves(rule)
-    ends, cells, offsets, expansions = _solve_pairs(
-        grids,
+    maps, cell_costs = as_ground(grids, terrains)
+    diagonals = diagonal_moves(rule) if terrains is None else None
+    ends, solved = _solve_pairs(
+        maps,
+        cell_costs,
         seed_points,
         rooms,
         seed,
@@ -615,12 +622,13 @@ def solve_pairs(
         diagonals,
         rule,
     )
-    return ends, cells, offsets, expansions
+    return ends, solved
 
 
 @kernel
 def _solve_pairs(
-    grids: Bytes,
+    maps: Bytes,
+    cell_costs: Bytes | None,
     seed_points: Ints,
     rooms: Ints,
     seed: np.uint64,
@@ -631,12 +639,17 @@ def _solve_pairs(
     weights: CostWeights,
     diagonals: Int | None,
     rule: MoveRule,
-) -> tuple[Ints, Ints, Ints, Ints]:
-    """Do the work of `solve_pairs`; ``diagonals`` are those of the rule, from `diagonal_moves`."""
-    count = len(grids)
-    lattice = lattice_of(grids.shape[1:], rule)
+) -> tuple[Ints, Solved]:
+    """Do the work of `solve_pairs`; ``maps`` and ``cell_costs`` are from `as_ground`.
+
+    ``diagonals`` are those of the rule, from `diagonal_moves`; None on terrain.
+    """
+    count = len(maps)
+    lattice = lattice_of(maps.shape[1:], rule)
     scratch = new_scratch(weights, lattice)
     ends = np.full((count, 4), -1)
+    sums = np.zeros((count, 2), np.int64)
+    sums[:, 0] = -1
     offsets = np.zeros(count + 1, np.int64)
     expansions = np.zeros(count, np.int64)
     cells = np.empty((64 * count + 64, 2), np.int64)
@@ -653,19 +666,21 @@ def _solve_pairs(
             goal = cell_at(seed_points[b, j, 0], seed_points[b, j, 1], lattice)
             if start == goal:
                 continue
-            load(grids[b], scratch.came_from)
-            straight, diagonal, expansions[b], _ = solve_loaded(
-                start, goal, weights, diagonals, lattice, scratch
-            )
-            length = count_path_cells(straight, diagonal)
-            if length or keep_unsolvable:
+            _, ground = load_map(maps[b], cell_costs, lattice, scratch.came_from)
+            found = search_loaded(start, goal, weights, diagonals, ground, lattice, scratch)
+            if found.high_cost:
+                return ends, Solved(cells, sums, expansions, offsets, b, found.high_cost)
+            expansions[b] = found.expansions
+            if found.length or keep_unsolvable:
                 ends[b, 0], ends[b, 1] = position(start, lattice)
                 ends[b, 2], ends[b, 3] = position(goal, lattice)
-                cells = with_capacity(cells, used, length)
-                write_cells(scratch.came_from, goal, lattice, cells[used : used + length])
-                offsets[b + 1] = used + length
+                sums[b, 0] = found.straight_sum
+                sums[b, 1] = found.diagonal_sum
+                cells = with_capacity(cells, used, found.length)
+                write_cells(scratch.came_from, goal, lattice, cells[used : used + found.length])
+                offsets[b + 1] = used + found.length
                 break
-    return ends, cells[: offsets[count]], offsets, expansions
+    return ends, Solved(cells[: offsets[count]], sums, expansions, offsets, count, EXACT)
 
 
 @kernel

@@ -1,7 +1,7 @@
 """Shortest paths on grids: BFS, A*, distance fields and the path check.
 
 This module checks the arguments and turns them into the form of the kernels. The kernels of
-`mapdata.search.kernels` do the work, in the exact order that the format fixes (docs/format.md).
+`mapdata.search.solving` do the work, in the exact order that the format fixes (docs/format.md).
 """
 
 from __future__ import annotations
@@ -18,15 +18,12 @@ from mapdata.checks import check_choice
 from mapdata.hints import hint_on_values
 from mapdata.limits import MAX_CELL_COST
 from mapdata.movement import Movement, check_movement
+from mapdata.search.ground import as_ground
 from mapdata.search.jump_points import jump_to_goals
 from mapdata.search.kernels import (
     copy_to_bytes,
     first_bad_cell,
-    follow_goal_fields,
     plain_scratch_bytes,
-    solve_problem,
-    solve_problems,
-    write_field,
 )
 from mapdata.search.lattice import (
     ASTAR,
@@ -39,13 +36,14 @@ from mapdata.search.lattice import (
     diagonal_moves,
     move_rule,
 )
-from mapdata.search.terrain import (
-    costs_from_sums,
-    follow_terrain_fields,
-    solve_on_terrain,
-    terrain_path_cost,
-    write_terrain_field,
+from mapdata.search.solving import (
+    Solved,
+    follow_goal_fields,
+    solve_problem,
+    solve_problems,
+    write_field,
 )
+from mapdata.search.terrain import costs_from_sums, terrain_path_cost
 
 SEARCHES = {"bfs": BFS, "astar": ASTAR}
 """The searches of labels and datasets, by name. Names of stored arrays and columns begin so."""
@@ -250,29 +248,16 @@ def solve_batch(
     no cell is expanded. On terrain, the weighted heuristic may not exceed `MAX_PATH_COST` / 2.
     """
     grid_stack, start_cells, goal_cells = _as_problems(grids, starts, goals)
-    rule = move_rule(movement)
+    terrains = None if terrain is None else _as_terrain_stack(terrain, grid_stack)
+    if weights == BFS:
+        terrains = None
     if weights == (1, 1.0):
         weights = ASTAR
-    if terrain is not None:
-        terrain_stack = _as_terrain_stack(terrain, grid_stack)
-        if weights != BFS:
-            paths, solved, high_cost = search_terrains(
-                terrain_stack, start_cells, goal_cells, movement, allow_occupied_ends, weights
-            )
-            _check_all_solved_on_terrain(solved, high_cost, terrain_stack, start_cells, goal_cells)
-            return paths
-    cells, moves, expansions, offsets, solved = solve_problems(
-        grid_stack,
-        start_cells,
-        goal_cells,
-        int(allow_occupied_ends),
-        weights,
-        diagonal_moves(rule),
-        rule,
-        _scratch_memory(grid_stack, rule),
+    solved = _solve(
+        grid_stack, terrains, start_cells, goal_cells, movement, allow_occupied_ends, weights
     )
     _check_all_solved(solved, grid_stack, start_cells, goal_cells)
-    return BatchResult(cells, offsets, _costs_of_moves(moves, movement), expansions)
+    return _as_batch_result(solved, terrains, movement)
 
 
 def check_jump_points(movement: Movement) -> None:
@@ -306,10 +291,10 @@ def solve_by_jump_points(
     check_jump_points(movement)
     rule = move_rule(movement)
     grid_stack, start_cells, goal_cells = _as_problems(grids, starts, goals)
-    cells, moves, expansions, looks, offsets, solved = jump_to_goals(
+    cells, moves, expansions, looks, offsets, done = jump_to_goals(
         grid_stack, start_cells, goal_cells, rule, _scratch_memory(grid_stack, rule)
     )
-    _check_all_solved(solved, grid_stack, start_cells, goal_cells)
+    _check_all_done(done, grid_stack, start_cells, goal_cells)
     costs = _costs_of_moves(moves, movement)
     return BatchResult(cells, offsets, costs, expansions), looks
 
@@ -335,20 +320,13 @@ def solve_by_goal_fields(
     """
     rule = move_rule(movement)
     grid_stack, start_cells, goal_cells = _as_problems(grids, starts, goals)
-    if terrain is not None:
-        terrains = _as_terrain_stack(terrain, grid_stack)
-        cells, sums, field_sizes, offsets, solved, high_cost = follow_terrain_fields(
-            terrains, start_cells, goal_cells, rule, _scratch_memory(terrains, rule)
-        )
-        _check_all_solved_on_terrain(solved, high_cost, terrains, start_cells, goal_cells)
-        costs = costs_from_sums(sums, movement)
-        return BatchResult(cells, offsets, costs, np.diff(offsets)), field_sizes
-    cells, moves, field_sizes, offsets, solved = follow_goal_fields(
-        grid_stack, start_cells, goal_cells, rule, _scratch_memory(grid_stack, rule)
-    )
+    terrains = None if terrain is None else _as_terrain_stack(terrain, grid_stack)
+    maps, cell_costs = as_ground(grid_stack, terrains)
+    memory = _scratch_memory(grid_stack, rule)
+    solved = follow_goal_fields(maps, cell_costs, start_cells, goal_cells, rule, memory)
     _check_all_solved(solved, grid_stack, start_cells, goal_cells)
-    costs = _costs_of_moves(moves, movement)
-    return BatchResult(cells, offsets, costs, np.diff(offsets)), field_sizes
+    paths = _as_batch_result(solved, terrains, movement)
+    return paths._replace(iterations=np.diff(solved.offsets)), solved.expansions
 
 
 def _as_problems(grids: ArrayLike, starts: ArrayLike, goals: ArrayLike) -> tuple[Bytes, Ints, Ints]:
@@ -370,16 +348,61 @@ def _as_problems(grids: ArrayLike, starts: ArrayLike, goals: ArrayLike) -> tuple
     return grid_stack, start_cells, goal_cells
 
 
-def _check_all_solved(solved: int, grids: Bytes, starts: Ints, goals: Ints) -> None:
-    """Check that a kernel solved all problems, and none was refused after ``solved`` of them.
+def _solve(
+    grids: Bytes,
+    terrains: Bytes | None,
+    starts: Ints,
+    goals: Ints,
+    movement: Movement,
+    allow_occupied_ends: bool,
+    weights: CostWeights,
+) -> Solved:
+    """Solve problems whose arguments are checked, on terrain if there is any."""
+    rule = move_rule(movement)
+    maps, cell_costs = as_ground(grids, terrains)
+    # All searches on terrain serve any movement.
+    diagonals = diagonal_moves(rule) if terrains is None else None
+    return solve_problems(
+        maps,
+        cell_costs,
+        starts,
+        goals,
+        int(allow_occupied_ends),
+        weights,
+        diagonals,
+        rule,
+        _scratch_memory(maps, rule),
+    )
+
+
+def _as_batch_result(solved: Solved, terrains: Bytes | None, movement: Movement) -> BatchResult:
+    """Return what a kernel found as a public result."""
+    costs_of = _costs_of_moves if terrains is None else costs_from_sums
+    costs = costs_of(solved.sums, movement)
+    return BatchResult(solved.cells, solved.offsets, costs, solved.expansions)
+
+
+def _check_all_solved(solved: Solved, grids: Bytes, starts: Ints, goals: Ints) -> None:
+    """Check that a kernel solved all problems.
 
     Raises:
         ValueError: it refused one; the message has its number and the reason.
     """
-    if solved < len(starts):
-        grid = grids[min(solved, len(grids) - 1)]
-        complaint = _problem_complaint(grid, starts[solved], goals[solved])
-        raise ValueError(f"problem {solved}: {complaint}")
+    if solved.high_cost:
+        raise ValueError(f"problem {solved.done}: {high_cost_complaint(solved.high_cost)}")
+    _check_all_done(solved.done, grids, starts, goals)
+
+
+def _check_all_done(done: int, grids: Bytes, starts: Ints, goals: Ints) -> None:
+    """Check that a kernel refused no grid, start or goal after ``done`` problems.
+
+    Raises:
+        ValueError: it refused one; the message has its number and the reason.
+    """
+    if done < len(starts):
+        grid = grids[min(done, len(grids) - 1)]
+        complaint = _problem_complaint(grid, starts[done], goals[done])
+        raise ValueError(f"problem {done}: {complaint}")
 
 
 def _costs_of_moves(moves: Ints, movement: Movement) -> Floats:
@@ -421,33 +444,8 @@ def search_terrains(
         and why it is refused: 0 if an end is outside or occupied, otherwise the doubled cost that
         is too high to be exact.
     """
-    rule = move_rule(movement)
-    cells, sums, expansions, offsets, solved, high_cost = solve_on_terrain(
-        terrains,
-        starts,
-        goals,
-        int(allow_occupied_ends),
-        weights,
-        rule,
-        _scratch_memory(terrains, rule),
-    )
-    paths = BatchResult(cells, offsets, costs_from_sums(sums, movement), expansions)
-    return paths, solved, high_cost
-
-
-def _check_all_solved_on_terrain(
-    solved: int, high_cost: int, terrains: Bytes, starts: Ints, goals: Ints
-) -> None:
-    """Check that a kernel solved all problems, as `_check_all_solved` does.
-
-    ``high_cost`` is the doubled cost for which problem ``solved`` was refused, or 0.
-    """
-    if high_cost:
-        raise ValueError(f"problem {solved}: {high_cost_complaint(high_cost)}")
-    if solved < len(starts):
-        terrain = terrains[min(solved, len(terrains) - 1)]
-        grids = (terrain == 0).astype(np.uint8)[None]
-        _check_all_solved(solved, grids, starts, goals)
+    solved = _solve(terrains, terrains, starts, goals, movement, allow_occupied_ends, weights)
+    return _as_batch_result(solved, terrains, movement), solved.done, solved.high_cost
 
 
 def distance_field(
@@ -478,20 +476,19 @@ def distance_field(
     """
     array = as_grid(grid, 2)
     row, column = _as_cell("goal", goal, array)
+    costs = None if terrain is None else as_terrain(terrain, array)
     field = np.empty(array.shape, np.float32)
     rule = move_rule(movement)
-    if terrain is not None:
-        costs = as_terrain(terrain, array)
-        if array[row, column]:
-            raise ValueError(f"goal: {row, column} is on an occupied cell")
-        memory = _scratch_memory(array, rule)
-        if high_cost := write_terrain_field(costs, row, column, rule, memory, field):
-            raise ValueError(high_cost_complaint(high_cost))
-        return field
-    if not write_field(array, row, column, rule, _scratch_memory(array, rule), field):
+    map_, cell_costs = as_ground(array, costs)
+    is_valid, high_cost = write_field(
+        map_, cell_costs, row, column, rule, _scratch_memory(array, rule), field
+    )
+    if not is_valid:
         raise ValueError(values_complaint(array))
     if array[row, column]:
         raise ValueError(f"goal: {row, column} is on an occupied cell")
+    if high_cost:
+        raise ValueError(high_cost_complaint(high_cost))
     return field
 
 
@@ -582,23 +579,16 @@ def _search_on_terrain(
     movement: Movement,
 ) -> SearchResult:
     """Solve one problem, whose ends are inside the map, by A* on ``terrain`` (H, W)."""
-    rule = move_rule(movement)
-    path, sums, expansions, _, solved, high_cost = solve_on_terrain(
-        terrain[None],
-        np.array([start]),
-        np.array([goal]),
-        0,
-        ASTAR,
-        rule,
-        _scratch_memory(grid, rule),
+    solved = _solve(
+        grid[None], terrain[None], np.array([start]), np.array([goal]), movement, False, ASTAR
     )
-    if high_cost:
-        raise ValueError(high_cost_complaint(high_cost))
-    if solved == 0:
+    if solved.high_cost:
+        raise ValueError(high_cost_complaint(solved.high_cost))
+    if solved.done == 0:
         raise ValueError(_problem_complaint(grid, start, goal))
-    straight_sum, diagonal_sum = sums[0].tolist()
-    cost = (straight_sum + diagonal_sum * movement.diagonal_cost) / 2 if len(path) else -1.0
-    return SearchResult(path, cost, int(expansions[0]))
+    straight_sum, diagonal_sum = solved.sums[0].tolist()
+    cost = (straight_sum + diagonal_sum * movement.diagonal_cost) / 2 if len(solved.cells) else -1.0
+    return SearchResult(solved.cells, cost, int(solved.expansions[0]))
 
 
 class _ThreadScratch(threading.local):

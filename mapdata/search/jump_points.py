@@ -31,12 +31,12 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Flags, Ints, UInt32s
 from mapdata.jit import Int, inlined, kernel
+from mapdata.search.ground import is_usable_end
 from mapdata.search.kernels import (
     LOWEST_MOVE,
     TOO_LONG,
     Scratch,
     insert_in_heap,
-    is_usable_end,
     remove_heap_top,
     scratch_view,
     with_capacity,
@@ -344,8 +344,8 @@ def jump_to_goals(
         grid = grids[b if len(grids) > 1 else 0]
         if (
             not load(grid, scratch.came_from)
-            or not is_usable_end(grid, starts[b], 0)
-            or not is_usable_end(grid, goals[b], 0)
+            or not is_usable_end(starts[b], grid.shape, 0, lattice, scratch.came_from)
+            or not is_usable_end(goals[b], grid.shape, 0, lattice, scratch.came_from)
         ):
             return cells, moves, expansions, looks, offsets, b
         start = cell_at(starts[b, 0], starts[b, 1], lattice)

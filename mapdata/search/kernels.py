@@ -33,7 +33,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Float32s, Ints, UInt32s
+from mapdata.arrays import Bytes, Ints, UInt32s
 from mapdata.jit import Int, inlined, kernel
 from mapdata.movement import STEPS
 from mapdata.search.lattice import (
@@ -51,17 +51,10 @@ from mapdata.search.lattice import (
     WALL,
     CostWeights,
     Lattice,
-    MoveRule,
-    cell_at,
-    count_path_cells,
     heuristic,
-    in_cells,
     is_binary,
     is_legal,
-    lattice_of,
-    load,
     position,
-    split_cost,
 )
 
 _ZERO = np.uint64(0)
@@ -683,7 +676,7 @@ scratch_bytes = inlined(plain_scratch_bytes)
 
 @kernel
 def new_scratch(weights: CostWeights, lattice: Lattice) -> Scratch:
-    """Return memory for `solve_loaded` with these weights; for `shortest_costs`, use ASTAR.
+    """Return memory for `search_loaded` with these weights; for `shortest_costs`, use ASTAR.
 
     It is one block, because malloc would give some of several blocks back to the system after each
     call.
@@ -700,222 +693,6 @@ def plain_new_scratch(lattice: Lattice) -> Scratch:
     """Return memory for any search, as `new_scratch` does, without compiling."""
     size = plain_scratch_bytes(len(lattice.offsets), lattice.cells)
     return plain_scratch_view(np.empty(size, np.uint8), lattice)
-
-
-@kernel
-def solve_loaded(
-    start: Int,
-    goal: Int,
-    weights: CostWeights,
-    diagonals: Int | None,
-    lattice: Lattice,
-    scratch: Scratch,
-) -> tuple[Int, Int, Int, Int]:
-    """Search a path from ``start`` to ``goal``, padded cells, on a grid that is loaded.
-
-    ``diagonals`` are those of the lattice, from `diagonal_moves`.
-
-    Returns:
-        Straight and diagonal moves, or (-1, 0) without a path; BFS, which does not weigh moves,
-        counts all of them as straight. Then expansions, 0 if an end is occupied, and pushes plus 1,
-        as `wipe` takes it.
-    """
-    if scratch.came_from[start] == WALL or scratch.came_from[goal] == WALL:
-        return -1, 0, 0, 1
-    if weights is None:  # A*: numba leaves out the searches below.
-        if diagonals is None:
-            expansions, pushes = astar_manhattan(start, goal, lattice, scratch)
-        else:
-            expansions, pushes = best_first_buckets(start, goal, lattice, scratch)
-        straight, diagonal = count_moves(scratch.came_from, start, goal, lattice)
-        return straight, diagonal, expansions, pushes
-    if weights == BFS:
-        queue_length = flood(start, np.full(1, goal), lattice, scratch)
-        expansions = expansions_until(scratch.pushed, queue_length, goal)
-        straight, diagonal = count_moves(scratch.came_from, start, goal, lattice)
-        return straight + diagonal, 0, expansions, np.int64(1)
-    expansions, pushes = best_first_heap(start, goal, weights, lattice, scratch)
-    straight, diagonal = count_moves(scratch.came_from, start, goal, lattice)
-    return straight, diagonal, expansions, pushes
-
-
-@kernel
-def solve_problem(
-    grid: Bytes,
-    start_row: Int,
-    start_column: Int,
-    goal_row: Int,
-    goal_column: Int,
-    weights: CostWeights,
-    diagonals: Int | None,
-    rule: MoveRule,
-    memory: Bytes,
-) -> tuple[Ints, Int, Int, Int]:
-    """Search one problem on ``grid`` (H, W), with ``memory`` for its `Scratch`.
-
-    ``diagonals`` are those of the rule, from `diagonal_moves`.
-
-    Returns:
-        The cells of the path, (k, 2) int64; straight and diagonal moves, (-1, 0) without a path;
-        expansions, 0 if an end is occupied or ``grid`` holds other numbers than 0 and 1.
-    """
-    lattice = lattice_of(grid.shape, rule)
-    scratch = scratch_view(memory, lattice)
-    is_valid = load(grid, scratch.came_from)
-    if not is_valid or grid[start_row, start_column] or grid[goal_row, goal_column]:
-        return np.empty((0, 2), np.int64), -1, 0, 0
-    start = cell_at(start_row, start_column, lattice)
-    goal = cell_at(goal_row, goal_column, lattice)
-    straight, diagonal, expansions, _ = solve_loaded(
-        start, goal, weights, diagonals, lattice, scratch
-    )
-    path = np.empty((count_path_cells(straight, diagonal), 2), np.int64)
-    write_cells(scratch.came_from, goal, lattice, path)
-    return path, straight, diagonal, expansions
-
-
-@kernel
-def solve_problems(
-    grids: Bytes,
-    starts: Ints,
-    goals: Ints,
-    max_end_state: Int,
-    weights: CostWeights,
-    diagonals: Int | None,
-    rule: MoveRule,
-    memory: Bytes,
-) -> tuple[Ints, Ints, Ints, Ints, Int]:
-    """Search problem b from ``starts[b]`` to ``goals[b]`` on ``grids[b]``, for B problems.
-
-    Args:
-        grids: (B, H, W), or (1, H, W) for a grid that all problems share.
-        starts: (B, 2) cells.
-        goals: (B, 2) cells.
-        max_end_state: 0 if starts and goals have to be free, 1 if they may be occupied.
-        weights: which search.
-        diagonals: those of the rule, from `diagonal_moves`.
-        rule: which moves are legal.
-        memory: for the `Scratch` of the search.
-
-    Returns:
-        The cells (M, 2) of all paths, one after another; (B, 2) straight and diagonal moves, (-1,
-        0) without a path; (B,) expansions; (B + 1,) offsets of the paths in the cells; and the
-        number of problems solved, less than B if the next one is refused: an end is outside or
-        above ``max_end_state``, or the grid holds other numbers than 0 and 1.
-    """
-    count = len(starts)
-    lattice = lattice_of(grids.shape[1:], rule)
-    scratch = scratch_view(memory, lattice)
-    moves = np.empty((count, 2), np.int64)
-    expansions = np.empty(count, np.int64)
-    offsets = np.zeros(count + 1, np.int64)
-    cells = np.empty((64 * count + 64, 2), np.int64)
-    used = 0
-    is_bfs = False
-    if weights is not None:
-        is_bfs = weights == BFS
-    for b in range(count):
-        grid = grids[b if len(grids) > 1 else 0]
-        # On a shared grid, A* wipes what it wrote. BFS touches most of a grid, so that copying it
-        # anew costs less.
-        must_load = b == 0 or len(grids) > 1 or is_bfs
-        if must_load and not load(grid, scratch.came_from):
-            return cells, moves, expansions, offsets, b
-        if not is_usable_end(grid, starts[b], max_end_state) or not is_usable_end(
-            grid, goals[b], max_end_state
-        ):
-            return cells, moves, expansions, offsets, b
-        start = cell_at(starts[b, 0], starts[b, 1], lattice)
-        goal = cell_at(goals[b, 0], goals[b, 1], lattice)
-        moves[b, 0], moves[b, 1], expansions[b], pushes = solve_loaded(
-            start, goal, weights, diagonals, lattice, scratch
-        )
-        length = count_path_cells(moves[b, 0], moves[b, 1])
-        cells = with_capacity(cells, used, length)
-        write_cells(scratch.came_from, goal, lattice, cells[used : used + length])
-        used += length
-        offsets[b + 1] = used
-        if len(grids) == 1 and not is_bfs:
-            wipe(scratch, pushes)
-    return cells[:used], moves, expansions, offsets, count
-
-
-@kernel
-def follow_goal_fields(
-    grids: Bytes, starts: Ints, goals: Ints, rule: MoveRule, memory: Bytes
-) -> tuple[Ints, Ints, Ints, Ints, Int]:
-    """Search problem b by A* whose heuristic is the exact cost to ``goals[b]``, for B problems.
-
-    With this heuristic f is equal on all cells of shortest paths and larger on all others. Among
-    equal f A* expands the cell that was pushed last. So it expands the cells of a single path: from
-    each of them it takes the last optimal move, in the order of `STEPS`.
-
-    Args:
-        grids: (B, H, W), or (1, H, W) for a grid that all problems share.
-        starts: (B, 2) cells.
-        goals: (B, 2) cells.
-        rule: which moves are legal.
-        memory: for the `Scratch` of `shortest_costs`.
-
-    Returns:
-        The cells (M, 2) of all paths, one after another; (B, 2) straight and diagonal moves, (-1,
-        0) without a path, where moves of equal cost all count as straight; (B,) numbers of free
-        cells that reach the goal; (B + 1,) offsets of the paths in the cells; and the number of
-        problems solved, as `solve_problems` returns it.
-    """
-    count = len(starts)
-    lattice = lattice_of(grids.shape[1:], rule)
-    scratch = scratch_view(memory, lattice)
-    moves = np.empty((count, 2), np.int64)
-    field_sizes = np.empty(count, np.int64)
-    offsets = np.zeros(count + 1, np.int64)
-    cells = np.empty((64 * count + 64, 2), np.int64)
-    used = 0
-    for b in range(count):
-        grid = grids[b if len(grids) > 1 else 0]
-        is_valid = load(grid, scratch.came_from)
-        if (
-            not is_valid
-            or not is_usable_end(grid, starts[b], 0)
-            or not is_usable_end(grid, goals[b], 0)
-        ):
-            return cells, moves, field_sizes, offsets, b
-        start = cell_at(starts[b, 0], starts[b, 1], lattice)
-        goal = cell_at(goals[b, 0], goals[b, 1], lattice)
-        shortest_costs(np.full(1, goal), INFINITY, lattice, scratch)
-        field_size = 0
-        for k in range(lattice.cells):
-            cost = scratch.g[np.uint64(k)]
-            field_size += (cost >= 0) & (cost < INFINITY)
-        field_sizes[b] = field_size
-        straight: Int = -1
-        diagonal: Int = 0
-        if scratch.g[start] < INFINITY:
-            straight, diagonal = split_cost(scratch.g[start])
-        moves[b, 0] = straight
-        moves[b, 1] = diagonal
-        length = count_path_cells(straight, diagonal)
-        cells = with_capacity(cells, used, length)
-        cell = start
-        for k in range(used, used + length):
-            cells[k, 0], cells[k, 1] = position(cell, lattice)
-            if cell != goal:
-                move = len(lattice.offsets) - 1
-                while (scratch.came_from[np.uint64(cell)] >> move) & 1 == 0:
-                    move -= 1
-                cell += lattice.offsets[move]
-        used += length
-        offsets[b + 1] = used
-    return cells[:used], moves, field_sizes, offsets, count
-
-
-@inlined
-def is_usable_end(grid: Bytes, cell: Ints, max_state: Int) -> Int:
-    """Return whether ``cell`` (row, col) is inside ``grid`` and holds at most ``max_state``."""
-    row = cell[0]  # Unpacking an array takes long to compile.
-    column = cell[1]
-    is_inside = 0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]
-    return is_inside and grid[row, column] <= max_state
 
 
 @kernel
@@ -948,12 +725,13 @@ def first_bad_cell(grid: Bytes, path: Ints, diagonals: Int) -> tuple[Int, Int]:
     if not is_binary(grid):
         return -2, 0
     for k in range(len(path)):
-        if not is_usable_end(grid, path[k], 0):
+        row = path[k, 0]
+        column = path[k, 1]
+        is_inside = 0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]
+        if not is_inside or grid[row, column]:
             return k, diagonal_moves
         if k == 0:
             continue
-        row = path[k, 0]
-        column = path[k, 1]
         previous_row = path[k - 1, 0]
         previous_column = path[k - 1, 1]
         row_distance = abs(row - previous_row)
@@ -968,42 +746,6 @@ def first_bad_cell(grid: Bytes, path: Ints, diagonals: Int) -> tuple[Int, Int]:
             if diagonals == NO_DIAGONALS or (diagonals == NO_CORNER_CUTTING and cuts_corner):
                 return k, diagonal_moves
     return -1, diagonal_moves
-
-
-@kernel
-def write_field(
-    grid: Bytes, row: Int, column: Int, rule: MoveRule, memory: Bytes, field: Float32s
-) -> Int:
-    """Write the cost from every cell to (row, column) into ``field``, -1 where there is no path.
-
-    Args:
-        grid: (H, W).
-        row: of the goal.
-        column: of the goal.
-        rule: which moves are legal.
-        memory: for the `Scratch` of the search.
-        field: (H, W), to be filled with costs in cells.
-
-    Returns:
-        Whether all cells of ``grid`` are 0 or 1. If not, nothing is written.
-    """
-    lattice = lattice_of(grid.shape, rule)
-    scratch = scratch_view(memory, lattice)
-    if not load(grid, scratch.came_from):
-        return False
-    sources = np.full(1, cell_at(row, column, lattice))
-    shortest_costs(sources, INFINITY, lattice, scratch)
-    for i in range(grid.shape[0]):
-        for j in range(grid.shape[1]):
-            field[i, j] = cost_at(cell_at(i, j, lattice), scratch)
-    return True
-
-
-@inlined
-def cost_at(cell: Int, scratch: Scratch) -> float:
-    """Return the cost of a padded cell after `shortest_costs`, in cells; -1 without a path."""
-    cost = scratch.g[cell]
-    return in_cells(cost) if 0 <= cost < INFINITY else -1.0
 
 
 @kernel

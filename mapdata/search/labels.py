@@ -17,19 +17,19 @@ from mapdata.movement import STEPS
 from mapdata.search.api import SEARCHES, as_terrain, high_cost_complaint
 from mapdata.search.bitboard import MAX_SIDE as MAX_BITBOARD_SIDE
 from mapdata.search.bitboard import bfs_labels_by_bits
+from mapdata.search.ground import EXACT, PaddedTerrain, as_ground, load_map, sums_of_cost
 from mapdata.search.kernels import (
     Scratch,
-    astar_manhattan,
     best_first_buckets,
     count_moves,
     expansions_until,
     flood,
     plain_new_scratch,
-    shortest_costs,
     wipe,
     write_moves,
 )
 from mapdata.search.lattice import (
+    ASTAR,
     INFINITY,
     UNIT,
     UNSEEN,
@@ -38,9 +38,8 @@ from mapdata.search.lattice import (
     load,
     move_rule,
     plain_lattice,
-    split_cost,
 )
-from mapdata.search.terrain import astar_labels_on_terrain
+from mapdata.search.solving import search_loaded, shortest_costs_on
 
 _MIN_CELLS_FOR_FLOOD = 3
 """Number of goals from which on one search of the whole map takes less time than an A* to each."""
@@ -252,7 +251,6 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
     size = maps.packed.shape[1], maps.columns
     lattice = plain_lattice(size, move_rule(maps.movement))
     scratch = plain_new_scratch(lattice)
-    all_walls = np.full(lattice.cells, WALL)
     bfs_moves = []
     astar_moves = []
     batch_size = max(_MIN_MAPS_AT_ONCE, _CELLS_AT_ONCE // (size[0] * size[1]))
@@ -271,15 +269,13 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
             scratch,
         )
         # A* comes first, since it checks the seed points, on which BFS relies.
-        if terrain is None:
-            moves, bad_seed_point = _collect_astar_labels(
-                batch, astar_table, astar_costs, all_walls
-            )
-        else:
-            assert astar_costs is not None
-            moves, bad_seed_point = _collect_terrain_labels(
-                batch, terrain[rows], maps.index[rows], astar_table, astar_costs
-            )
+        moves, bad_seed_point = _collect_astar_labels(
+            batch,
+            None if terrain is None else as_terrain(terrain[rows], batch.grids),
+            maps.index[rows],
+            astar_table,
+            astar_costs,
+        )
         if bad_seed_point is not None:
             m, room = bad_seed_point
             cell = tuple(seed_points[m, room].tolist())
@@ -326,48 +322,43 @@ def _padded_cells(seed_points: Ints, size: tuple[int, int], lattice: Lattice) ->
 
 
 def _collect_astar_labels(
-    batch: _MapBatch, segment_table: Ints, pair_costs: Ints | None, all_walls: Bytes
+    batch: _MapBatch,
+    terrain: Bytes | None,
+    map_numbers: Ints,
+    segment_table: Ints,
+    pair_costs: Ints | None,
 ) -> tuple[Bytes, tuple[int, int] | None]:
     """Label a batch by A*, with as much memory for its moves as it turns out to need.
 
-    Arguments are those of `_astar_labels`. Returns the moves of all segments, and None; or, if a
-    seed point is not a free cell, its map in the batch and its room.
+    ``terrain`` (N, H, W) fits the grids. The last two arguments are those of `_astar_labels`.
+    Returns the moves of all segments, and None; or, if a seed point is not a free cell, its map in
+    the batch and its room.
+
+    Raises:
+        HighCostError: terrain whose costs are too high to be exact.
     """
+    map_cells, cell_costs = as_ground(batch.grids, terrain)
+    # With None, numba leaves out the search for diagonal moves.
+    has_diagonals = pair_costs is not None and terrain is None
+    diagonals = batch.lattice.diagonals if has_diagonals else None
+    loaded = np.empty(batch.lattice.cells, np.uint8)
     # This is enough except for mazes. Memory that is not used does not become memory of the
     # process.
     capacity = 4 * batch.lattice.stride * int(batch.rooms.sum())
     moves = np.empty(capacity, np.uint8)
     done = used = 0
     while done < len(batch.grids):
-        done, used, bad_room = _astar_labels(
-            *batch, segment_table, pair_costs, all_walls, moves, done, used
-        )
-        if bad_room >= 0:
-            return moves[:used], (done, bad_room)
-        if done < len(batch.grids):
-            moves = np.concatenate((moves, np.empty_like(moves)))
-    return moves[:used].copy(), None
-
-
-def _collect_terrain_labels(
-    batch: _MapBatch,
-    terrain: Bytes,
-    map_numbers: Ints,
-    segment_table: Ints,
-    pair_sums: Ints,
-) -> tuple[Bytes, tuple[int, int] | None]:
-    """Label a batch by A* on ``terrain`` (N, H, W), as `_collect_astar_labels` does without it.
-
-    Raises:
-        ValueError: terrain that does not fit the maps.
-        HighCostError: terrain whose costs are too high to be exact.
-    """
-    terrain = as_terrain(terrain, batch.grids)
-    moves = np.empty(4 * batch.lattice.stride * int(batch.rooms.sum()), np.uint8)
-    done = used = 0
-    while done < len(batch.grids):
-        done, used, bad_room, high_cost = astar_labels_on_terrain(
-            terrain, *batch[1:], segment_table, pair_sums, moves, done, used
+        done, used, bad_room, high_cost = _astar_labels(
+            map_cells,
+            *batch[1:],
+            segment_table,
+            pair_costs,
+            diagonals,
+            cell_costs,
+            loaded,
+            moves,
+            done,
+            used,
         )
         if high_cost:
             raise HighCostError(int(map_numbers[done]), high_cost_complaint(high_cost))
@@ -472,7 +463,7 @@ def connected_components(cells: Ints, lattice: Lattice, scratch: Scratch) -> Int
 
 @kernel
 def _astar_labels(
-    grids: Bytes,
+    maps: Bytes,
     rooms: Ints,
     cells: Ints,
     first_segments: Ints,
@@ -481,16 +472,18 @@ def _astar_labels(
     scratch: Scratch,
     segment_table: Ints,
     pair_costs: Ints | None,
+    diagonals: Int | None,
+    cell_costs: Bytes | None,
     loaded: Bytes,
     moves: Bytes,
     first_map: Int,
     used: Int,
-) -> tuple[Int, Int, Int]:
+) -> tuple[Int, Int, Int, Int]:
     """Label maps by A*, and check that seed points are free cells.
 
     Args:
-        grids: as `bfs_labels_by_queue` takes it, like the arguments up to ``segment_table``.
-        rooms: (N,).
+        maps: (N, H, W) grids or terrain.
+        rooms: (N,) as `bfs_labels_by_queue` takes it, like the arguments up to ``segment_table``.
         cells: (N, R) padded cells of the seed points; cell 0, a wall, if outside of the map.
         first_segments: (N or more,).
         first_pairs: (N or more,).
@@ -498,30 +491,28 @@ def _astar_labels(
         scratch: memory of the searches.
         segment_table: (S, 2), to be filled with number of moves and expansions of each segment.
         pair_costs: (P, 2), to be filled with straight and diagonal moves between the seed points of
-            each pair; None without diagonals. numba then compiles no branch that fills it, so that
-            a first build of such maps waits less.
-        loaded: (cells,) memory for the states of a map that is loaded; all WALL at the first call.
+            each pair, on terrain with the sums S and D; (-1, 0) without a path. None on grids
+            without diagonals. numba then compiles no branch that fills it, so that a first build of
+            such maps waits less.
+        diagonals: those of the lattice; None without diagonals, and on terrain.
+        cell_costs: as from `as_ground`.
+        loaded: (cells,) memory for the states of a map that is loaded.
         moves: to be filled with the moves of all segments.
         first_map: the maps before this one are labelled already.
         used: the number of their moves.
 
     Returns:
         The map before which all are labelled, the number of their moves, and the reason why it
-        stopped there: the room of that map whose seed point is not a free cell, or -1 if all maps
-        are labelled or ``moves`` has no room for the next one.
+        stopped there: the room of that map whose seed point is not a free cell, or -1; and the
+        doubled cost that is too high to be exact, or 0. With -1 and 0, all maps are labelled, or
+        ``moves`` has no room for the next one.
     """
     came_from = scratch.came_from
-    _, rows, columns = grids.shape
-    for m in range(first_map, len(grids)):
-        # This loads the grid as `load` does, except for the wall around it, which is there, and the
-        # check of its numbers.
-        for row in range(rows):
-            cell = np.uint64((row + 1) * lattice.stride + 1)
-            for column in range(columns):
-                loaded[cell + np.uint64(column)] = UNSEEN | grids[m, row, np.uint64(column)]
+    for m in range(first_map, len(maps)):
+        _, ground = load_map(maps[m], cell_costs, lattice, loaded)
         for q in range(rooms[m]):
             if loaded[cells[m, q]] == WALL:
-                return m, used, q
+                return m, used, q, EXACT
         used_before_map = used
         pair = first_pairs[m]
         for q in range(rooms[m] - 1):
@@ -529,54 +520,75 @@ def _astar_labels(
             goal = cells[m, q + 1]
             for k in range(lattice.cells):
                 came_from[k] = loaded[k]
-            if pair_costs is None:
-                expansions, _ = astar_manhattan(start, goal, lattice, scratch)
-            else:
-                expansions, pushes = best_first_buckets(start, goal, lattice, scratch)
-            straight, diagonal = count_moves(came_from, start, goal, lattice)
-            length = max(straight + diagonal, 0)  # without a path, no moves
+            found = search_loaded(start, goal, ASTAR, diagonals, ground, lattice, scratch)
+            if found.high_cost:
+                return m, used_before_map, -1, found.high_cost
+            length = max(found.length - 1, 0)  # without a path, no moves
             segment = first_segments[m] + q
             segment_table[segment, 0] = length
-            segment_table[segment, 1] = expansions
+            segment_table[segment, 1] = found.expansions
             if used + length > len(moves):
-                return m, used_before_map, -1
+                return m, used_before_map, -1, EXACT
             write_moves(came_from, goal, length, lattice, moves, used)
             used += length
             if pair_costs is not None:
-                pair_costs[pair, 0] = straight
-                pair_costs[pair, 1] = diagonal
-                wipe(scratch, pushes)
+                pair_costs[pair, 0] = found.straight_sum
+                pair_costs[pair, 1] = found.diagonal_sum
+                # Where diagonals cost 1, all of a cost on terrain is the first sum.
+                if cell_costs is not None and found.length:
+                    pair_costs[pair, 0], pair_costs[pair, 1] = sums_of_cost(scratch.g[goal], ground)
+                wipe(scratch, found.pushes)
                 later_cells = cells[m, q + 2 : rooms[m]]
                 later_costs = pair_costs[pair + 1 :]
-                _fill_costs(cells[m, q : q + 1], later_cells, lattice, scratch, later_costs)
+                high_cost = _fill_costs(
+                    cells[m, q : q + 1], later_cells, ground, lattice, scratch, later_costs
+                )
+                if high_cost:
+                    return m, used_before_map, -1, high_cost
                 pair += 1 + len(later_cells)
-    return len(grids), used, -1
+    return len(maps), used, -1, EXACT
 
 
 @kernel
-def _fill_costs(source: Ints, cells: Ints, lattice: Lattice, scratch: Scratch, costs: Ints) -> None:
+def _fill_costs(
+    source: Ints,
+    cells: Ints,
+    ground: PaddedTerrain | None,
+    lattice: Lattice,
+    scratch: Scratch,
+    costs: Ints,
+) -> Int:
     """Write the costs of A* from a source to each of ``cells``, by the search that is fastest.
 
     Args:
         source: (1,) padded cell.
         cells: (n,) padded cells.
-        lattice: of the map, with diagonals.
+        ground: of the map.
+        lattice: of the map, with diagonals unless it has terrain.
         scratch: with the map loaded in ``came_from``.
-        costs: (n or more, 2), to be filled with straight and diagonal moves, (-1, 0) without a
-            path.
+        costs: (n or more, 2), to be filled with straight and diagonal moves, on terrain with the
+            sums S and D; (-1, 0) without a path.
+
+    Returns:
+        EXACT, or the doubled cost that is too high to be exact.
     """
-    if lattice.diagonal_cost != UNIT and len(cells) >= _MIN_CELLS_FOR_FLOOD:
-        # Since sqrt(2) is irrational, only one pair of numbers of straight and diagonal moves has
-        # the smallest cost. So any optimal search finds that of A*.
-        shortest_costs(source, INFINITY, lattice, scratch)
+    if len(cells) == 0:
+        return EXACT
+    if ground is not None or (lattice.diagonal_cost != UNIT and len(cells) >= _MIN_CELLS_FOR_FLOOD):
+        # Since sqrt(2) is irrational, only one pair of sums has the least cost. So any optimal
+        # search finds that of A*.
+        high_cost = shortest_costs_on(source, ground, lattice, scratch)
+        if high_cost:
+            return high_cost
         for k in range(len(cells)):
             cost = scratch.g[cells[k]]
             costs[k, 0] = -1
             costs[k, 1] = 0
             if cost != INFINITY:
-                costs[k, 0], costs[k, 1] = split_cost(cost)
+                costs[k, 0], costs[k, 1] = sums_of_cost(cost, ground)
     else:
         for k in range(len(cells)):
             _, pushes = best_first_buckets(source[0], cells[k], lattice, scratch)
             costs[k, 0], costs[k, 1] = count_moves(scratch.came_from, source[0], cells[k], lattice)
             wipe(scratch, pushes)
+    return EXACT

@@ -67,8 +67,15 @@ ROOT = np.uint8(253)
 CLOSED = np.uint8(8)
 """The bit that A* adds to a cell's state, a move from 0 to 7, when it expands the cell."""
 
-INFINITY = np.int64((MAX_PATH_COST + 4) * UNIT)
-"""The cost of a cell that no path reaches: more than any path costs that is not refused."""
+_MAX_MOVE_COST = 722
+"""A diagonal move between two cells of cost 255 has the doubled cost 510 * sqrt(2) = 721.2."""
+
+INFINITY = np.int64((MAX_PATH_COST + _MAX_MOVE_COST) * UNIT)
+"""The cost of a cell that no path reaches: more than any path costs that is not refused.
+
+On terrain, a cell behind the bound still gets a smaller cost, because only cells before the bound
+are expanded. So it is not mistaken for a cell without a path.
+"""
 
 NO_DIAGONALS = 0
 """Value of ``diagonals`` under 4-connectivity."""

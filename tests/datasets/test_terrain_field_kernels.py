@@ -18,12 +18,8 @@ from mapdata.datasets.field_kernels import (
     fill_room_matrices,
     path_probabilities,
 )
-from mapdata.datasets.terrain_field_kernels import (
-    fill_terrain_goal_fields,
-    fill_terrain_room_matrices,
-    terrain_path_probabilities,
-)
 from mapdata.search import search_batch
+from mapdata.search.ground import as_ground
 from mapdata.search.lattice import move_rule
 
 COUNT = 6
@@ -41,6 +37,11 @@ class Problems(NamedTuple):
         """Return the maps without costs."""
         grids: Bytes = (self.terrains == 0).astype(np.uint8)
         return grids
+
+    @property
+    def ground(self) -> tuple[Bytes, Bytes | None]:
+        """Return the maps with costs, and memory for their costs, as kernels take them."""
+        return as_ground(self.grids, self.terrains)
 
     def cells(self, k: int) -> tuple[Cell, Cell]:
         """Return start and goal of problem k."""
@@ -85,7 +86,9 @@ def test_goal_fields_on_terrain_equal_the_reference(movement: Movement, values: 
     """Cost to go, optimal moves, the ratio to the heuristic, and the cells of all optimal paths."""
     problems = random_problems(values)
     fields = empty_fields()
-    refused = fill_terrain_goal_fields(*problems, move_rule(movement), fields)
+    refused = fill_goal_fields(
+        *problems.ground, problems.starts, problems.goals, move_rule(movement), fields
+    )
     assert refused == (COUNT, 0)
     for k in range(COUNT):
         start, goal = problems.cells(k)
@@ -122,8 +125,9 @@ def test_path_probabilities_on_terrain_follow_their_formula(movement: Movement) 
     paths = search_batch(
         "astar", *problems._replace(terrains=problems.grids), movement, terrain=problems.terrains
     )
-    probabilities, *refused = terrain_path_probabilities(
-        *problems, paths.cells, paths.offsets, move_rule(movement)
+    ends = problems.starts, problems.goals
+    probabilities, *refused = path_probabilities(
+        *problems.ground, *ends, paths.cells, paths.offsets, move_rule(movement)
     )
     assert refused == [COUNT, 0]
     for k in range(COUNT):
@@ -158,9 +162,7 @@ def test_room_matrices_on_terrain_hold_the_costs_between_seed_points(movement: M
     seed_points[:, 0] = problems.starts
     seed_points[:, 1] = problems.goals
     seed_points[:3, 2] = problems.goals[::-1][:3]
-    matrices, *refused = fill_terrain_room_matrices(
-        problems.terrains, seed_points, move_rule(movement)
-    )
+    matrices, *refused = fill_room_matrices(*problems.ground, seed_points, move_rule(movement))
     assert refused == [COUNT, 0]
     for k in range(COUNT):
         terrain = problems.terrains[k].tolist()
@@ -182,19 +184,23 @@ def test_fields_on_terrain_of_ones_are_those_without_terrain(movement: Movement)
     problems = random_problems([1])
     rule = move_rule(movement)
     on_ones, without = empty_fields(), empty_fields()
-    fill_terrain_goal_fields(*problems, rule, on_ones)
-    fill_goal_fields(problems.grids, problems.starts, problems.goals, rule, without)
+    ends = problems.starts, problems.goals
+    fill_goal_fields(*problems.ground, *ends, rule, on_ones)
+    fill_goal_fields(problems.grids, None, *ends, rule, without)
     for name in GoalFields._fields:
         assert getattr(on_ones, name).tobytes() == getattr(without, name).tobytes()
-    paths = search_batch("astar", problems.grids, problems.starts, problems.goals, movement)
-    probabilities, *_ = terrain_path_probabilities(*problems, paths.cells, paths.offsets, rule)
-    expected_probabilities = path_probabilities(
-        problems.grids, problems.starts, problems.goals, paths.cells, paths.offsets, rule
+    paths = search_batch("astar", problems.grids, *ends, movement)
+    probabilities, *_ = path_probabilities(
+        *problems.ground, *ends, paths.cells, paths.offsets, rule
+    )
+    expected_probabilities, *_ = path_probabilities(
+        problems.grids, None, *ends, paths.cells, paths.offsets, rule
     )
     assert probabilities.tobytes() == expected_probabilities.tobytes()
     seed_points = np.stack((problems.starts, problems.goals), axis=1)
-    matrices, *_ = fill_terrain_room_matrices(problems.terrains, seed_points, rule)
-    assert matrices.tobytes() == fill_room_matrices(problems.grids, seed_points, rule).tobytes()
+    matrices, *_ = fill_room_matrices(*problems.ground, seed_points, rule)
+    expected_matrices, *_ = fill_room_matrices(problems.grids, None, seed_points, rule)
+    assert matrices.tobytes() == expected_matrices.tobytes()
 
 
 def test_a_map_whose_costs_are_too_high_is_reported() -> None:
@@ -208,15 +214,15 @@ def test_a_map_whose_costs_are_too_high_is_reported() -> None:
     cost_to_go = np.empty((2, 1, 1, 4200), np.float32)
     no_bytes = empty.astype(np.uint8)
     fields = GoalFields(cost_to_go, no_bytes, empty, no_bytes)
-    number, high_cost = fill_terrain_goal_fields(terrains, starts, goals, rule, fields)
+    ground = as_ground((terrains == 0).astype(np.uint8), terrains)
+    number, high_cost = fill_goal_fields(*ground, starts, goals, rule, fields)
     assert number == 1
     assert high_cost >= 2**62
     cells = np.tile(np.stack((np.zeros(6, int), np.arange(6)), axis=1), (2, 1))
-    _, *refused = terrain_path_probabilities(
-        terrains, starts, goals, cells, np.array([0, 6, 12]), rule
-    )
+    offsets = np.array([0, 6, 12])
+    _, *refused = path_probabilities(*ground, starts, goals, cells, offsets, rule)
     assert refused[0] == 1
     assert refused[1] >= 2**62
-    _, *refused = fill_terrain_room_matrices(terrains, np.stack((starts, goals), axis=1), rule)
+    _, *refused = fill_room_matrices(*ground, np.stack((starts, goals), axis=1), rule)
     assert refused[0] == 1
     assert refused[1] >= 2**62

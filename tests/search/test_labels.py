@@ -16,9 +16,10 @@ from scipy import ndimage
 
 from mapdata import Labels, Maps, MapSpec, generate, label
 from mapdata.movement import Movement
+from mapdata.search.ground import as_ground, load_map
 from mapdata.search.kernels import new_scratch
 from mapdata.search.labels import _fill_costs
-from mapdata.search.lattice import ASTAR, cell_at, lattice_of, load, move_rule
+from mapdata.search.lattice import ASTAR, cell_at, lattice_of, move_rule
 
 SEARCHES: dict[str, reference.Search] = {
     "bfs": reference.reference_bfs,
@@ -253,17 +254,21 @@ def test_a_seed_point_in_a_wall_is_refused() -> None:
         label(maps)
 
 
-def test_costs_without_a_path_take_the_place_of_what_memory_held() -> None:
-    """(-1, 0), since the content hash covers both numbers."""
+@pytest.mark.parametrize("has_terrain", [False, True])
+def test_costs_without_a_path_take_the_place_of_what_memory_held(has_terrain: bool) -> None:
+    """(-1, 0), since the content hash covers both numbers; on terrain, costs are doubled."""
     grid = np.zeros((5, 9), np.uint8)
     grid[:, 4] = 1
     lattice = lattice_of(grid.shape, move_rule(Movement(8)))
     scratch = new_scratch(ASTAR, lattice)
-    assert load(grid, scratch.came_from)
+    map_, cell_costs = as_ground(grid, 1 - grid if has_terrain else None)
+    is_valid, ground = load_map(map_, cell_costs, lattice, scratch.came_from)
+    assert is_valid
     ends = np.array([cell_at(2, column, lattice) for column in (2, 6, 7)])
     costs = np.full((3, 2), 7)
-    _fill_costs(np.array([cell_at(2, 0, lattice)]), ends, lattice, scratch, costs)
-    assert costs.tolist() == [[2, 0], [-1, 0], [-1, 0]]
+    source = np.array([cell_at(2, 0, lattice)])
+    assert _fill_costs(source, ends, ground, lattice, scratch, costs) == 0
+    assert costs.tolist() == [[4 if has_terrain else 2, 0], [-1, 0], [-1, 0]]
 
 
 def test_the_papers_shares() -> None:

@@ -28,6 +28,7 @@ from mapdata.jit import kernel
 from mapdata.movement import Movement
 from mapdata.search import hardness, inflate, inflate_terrain, label, search_batch
 from mapdata.search.api import solve_batch
+from mapdata.search.ground import as_ground, load_terrain, terrain_heuristic
 from mapdata.search.kernels import plain_new_scratch
 from mapdata.search.lattice import (
     ASTAR,
@@ -39,13 +40,8 @@ from mapdata.search.lattice import (
     move_rule,
     plain_lattice,
 )
-from mapdata.search.terrain import (
-    load_terrain,
-    min_cell_costs,
-    shortest_terrain_costs,
-    solve_on_terrain,
-    terrain_heuristic,
-)
+from mapdata.search.solving import solve_problems
+from mapdata.search.terrain import min_cell_costs, shortest_terrain_costs
 
 Array: TypeAlias = npt.NDArray[Any]
 
@@ -400,14 +396,18 @@ def test_a_batch_without_problems_is_solved_on_terrain(dtype: type[np.integer[An
     assert len(solutions.cells) == len(solutions.cost) == len(solutions.iterations) == 0
 
 
-def test_the_kernel_reads_no_terrain_without_problems() -> None:
+@pytest.mark.parametrize("has_terrain", [False, True])
+def test_the_kernel_reads_no_map_without_problems(has_terrain: bool) -> None:
     """As Python, where an index out of bounds is an error."""
-    terrains = np.zeros((0, 3, 4), np.uint8)
+    grids = np.zeros((0, 3, 4), np.uint8)
     no_cells = np.zeros((0, 2), np.int64)
     memory = np.empty(2**12, np.uint8)
-    compiled: Any = solve_on_terrain
-    answer = compiled.py_func(terrains, no_cells, no_cells, 0, ASTAR, move_rule(OCTILE), memory)
-    assert answer[-2:] == (0, 0)
+    ground = as_ground(grids, grids if has_terrain else None)
+    compiled: Any = solve_problems
+    solved = compiled.py_func(
+        *ground, no_cells, no_cells, 0, ASTAR, None, move_rule(OCTILE), memory
+    )
+    assert (solved.done, solved.high_cost) == (0, 0)
 
 
 # --- costs that are too high --------------------------------------------------------------------
