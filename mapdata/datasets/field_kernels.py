@@ -24,6 +24,7 @@ from mapdata.search.ground import (
     heuristic_on,
     load_map,
     load_terrain,
+    unit_of,
 )
 from mapdata.search.kernels import Scratch, new_scratch
 from mapdata.search.lattice import (
@@ -204,14 +205,15 @@ def _write_goal_costs(
     One of the two fields of `GoalFields` may be empty.
     """
     _, _, rows, columns = cost_to_go.shape if len(cost_to_go) else heuristic_ratio.shape
+    unit = unit_of(ground)
     for row in range(rows):
         for column in range(columns):
-            cost = cost_in_cells(scratch.g[cell_at(row, column, lattice)], ground)
+            cost = cost_in_cells(scratch.g[cell_at(row, column, lattice)], unit)
             if len(cost_to_go):
                 cost_to_go[b, 0, row, column] = cost
             if len(heuristic_ratio):
                 lower_bound = heuristic_on(row - goal[0], column - goal[1], ground, lattice)
-                ratio = _ratio_of(cost_in_cells(lower_bound, ground), cost)
+                ratio = _ratio_of(cost_in_cells(lower_bound, unit), cost)
                 heuristic_ratio[b, 0, row, column] = ratio
 
 
@@ -365,9 +367,10 @@ def _write_costs(
     ground: PaddedTerrain | None, lattice: Lattice, scratch: Scratch, costs: Floats
 ) -> None:
     """Write the costs that a search left in ``scratch.g`` to ``costs`` (H, W), in cells."""
+    unit = unit_of(ground)
     for row in range(costs.shape[0]):
         for column in range(costs.shape[1]):
-            costs[row, column] = cost_in_cells(scratch.g[cell_at(row, column, lattice)], ground)
+            costs[row, column] = cost_in_cells(scratch.g[cell_at(row, column, lattice)], unit)
 
 
 @kernel
@@ -400,9 +403,10 @@ def fill_room_matrices(
             high_cost = shortest_costs_on(cells[i : i + 1], ground, lattice, scratch)
             if high_cost:
                 return matrices, b, high_cost
+            unit = unit_of(ground)
             for j in range(rooms):
                 # -1 stands for a missing path as well as for no connection.
-                matrices[b, i, j] = cost_in_cells(scratch.g[cells[j]], ground)
+                matrices[b, i, j] = cost_in_cells(scratch.g[cells[j]], unit)
             # The robot may have no room on a seed point, whose cost would then be -1.
             matrices[b, i, i] = 0
     return matrices, count, EXACT

@@ -24,6 +24,7 @@ from mapdata.search.ground import (
     heuristic_on,
     is_usable_end,
     load_map,
+    unit_of,
 )
 from mapdata.search.kernels import Scratch, new_scratch
 from mapdata.search.lattice import (
@@ -163,13 +164,14 @@ def _see_costs(
 ) -> None:
     """Add to ``seen`` what a search around ``goal``, a padded cell, says of ``free_cells``."""
     row, column = position(goal, lattice)
+    unit = unit_of(ground)
     for cell in free_cells:
-        cost = cost_in_cells(scratch.g[cell], ground)
+        cost = cost_in_cells(scratch.g[cell], unit)
         if cost > 0:
             start_row, start_column = position(cell, lattice)
             lower_bound = heuristic_on(start_row - row, start_column - column, ground, lattice)
             see_value(seen[0], bands[0], cost)
-            see_value(seen[1], bands[1], cost / cost_in_cells(lower_bound, ground))
+            see_value(seen[1], bands[1], cost / cost_in_cells(lower_bound, unit))
             if ground is None:
                 straight, diagonal = split_cost(scratch.g[cell])
                 see_value(seen[2], bands[2], float(straight + diagonal + 1))

@@ -537,13 +537,14 @@ def _mark_terrain_starts(
     has_ratios = ratios[0] > 1 or ratios[1] < np.inf
     board.reached.fill(0)
     for cell in range(lattice.cells):
-        cost = cost_in_cells(scratch.g[cell], padded)
+        cost = cost_in_cells(scratch.g[cell], padded.straight_unit)
         if cost < min_distance or cost > distances[1]:
             continue
         row, column = position(cell, lattice)
         if has_ratios:
             lower_bound = cost_in_cells(
-                terrain_heuristic(row - goal[0], column - goal[1], padded, lattice), padded
+                terrain_heuristic(row - goal[0], column - goal[1], padded, lattice),
+                padded.straight_unit,
             )
             if not ratios[0] <= cost / lower_bound <= ratios[1]:
                 continue

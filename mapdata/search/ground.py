@@ -202,12 +202,26 @@ def sums_of_cost(cost: Int, ground: PaddedTerrain | None) -> tuple[Int, Int]:
     return split_cost(cost)
 
 
+NOT_DOUBLED = np.int64(0)
+"""The unit of costs on maps without terrain, see `unit_of`."""
+
+
 @kernel
-def cost_in_cells(cost: Int, ground: PaddedTerrain | None) -> float:
-    """Return a cost in cells, -1 for occupied cells and for those without a path."""
+def unit_of(ground: PaddedTerrain | None) -> Int:
+    """Return the unit of costs that `cost_in_cells` takes: NOT_DOUBLED, or that of the terrain."""
+    if ground is None:
+        return NOT_DOUBLED
+    return ground.straight_unit
+
+
+@kernel
+def cost_in_cells(cost: Int, unit: Int) -> float:
+    """Return a cost in cells, -1 for occupied cells and for those without a path.
+
+    ``unit`` is from `unit_of`. A loop over cells passes this number and not the ground, because
+    numba would count the references of its array at each call.
+    """
     if not 0 <= cost < INFINITY:
         return -1.0
-    if ground is None:
-        return float(in_cells(cost))
-    doubled_cost: float = cost if ground.straight_unit == 1 else in_cells(cost)
-    return doubled_cost / 2
+    doubled_cost: float = cost if unit == 1 else in_cells(cost)
+    return doubled_cost / (1 if unit == NOT_DOUBLED else 2)

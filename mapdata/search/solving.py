@@ -19,6 +19,7 @@ from mapdata.search.ground import (
     is_usable_end,
     load_map,
     sums_of_cost,
+    unit_of,
 )
 from mapdata.search.kernels import (
     Scratch,
@@ -407,7 +408,8 @@ def write_field(
     high_cost = shortest_costs_on(goal, ground, lattice, scratch)
     if high_cost:
         return True, high_cost
+    unit = unit_of(ground)
     for i in range(map_.shape[0]):
         for j in range(map_.shape[1]):
-            field[i, j] = cost_in_cells(scratch.g[cell_at(i, j, lattice)], ground)
+            field[i, j] = cost_in_cells(scratch.g[cell_at(i, j, lattice)], unit)
     return True, EXACT
