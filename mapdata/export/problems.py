@@ -412,8 +412,8 @@ def _open(
 ) -> tuple[list[_Part], dict[str, Any]]:
     """Open the datasets of the splits; return them and what the source is, as plain values.
 
-    With ``distinct`` and ``count``, a recipe gives more problems than ``count``, since some are
-    left out.
+    With ``distinct`` and ``count``, the parts have more problems than ``count`` if the source has,
+    since some are left out.
 
     Splits without problems are left out, unless the caller asked for this one.
     """
@@ -425,7 +425,7 @@ def _open(
             )
     if isinstance(source, ProblemSet):
         (split_of_set,) = splits
-        parts = [_set_part(source, options, split_of_set, count)]
+        parts = [_set_part(source, options, split_of_set, count, distinct)]
         origin: dict[str, Any] = {
             "problem_set": {
                 "content_hash": source.content_hash,
@@ -435,7 +435,9 @@ def _open(
     elif _is_dataset(source):
         if seed is not None:
             raise ValueError("seed: a built dataset has its own, expected none")
-        parts = [_stored_part(source, options, name, count, follow_links) for name in splits]
+        parts = [
+            _stored_part(source, options, name, count, follow_links, distinct) for name in splits
+        ]
         origin = _dataset_origin(source, follow_links)
     else:
         if follow_links:
@@ -453,7 +455,12 @@ def _open(
 
 
 def _stored_part(
-    source: Locations, options: _Options, split: str, count: int | None, follow_links: bool
+    source: Locations,
+    options: _Options,
+    split: str,
+    count: int | None,
+    follow_links: bool,
+    distinct: bool,
 ) -> _Part:
     """Return the problems of a split of a built dataset."""
     dataset = MapDataset(source, split, follow_links=follow_links, **options.serving(split))
@@ -465,10 +472,12 @@ def _stored_part(
             f"count: got {count}, but the split {split!r} has {len(dataset)} problems; problems="
             '"random" draws as many as wanted'
         )
-    return _Part(split, dataset, np.arange(count))
+    return _Part(split, dataset, np.arange(max(count, len(dataset)) if distinct else count))
 
 
-def _set_part(problem_set: ProblemSet, options: _Options, split: str, count: int | None) -> _Part:
+def _set_part(
+    problem_set: ProblemSet, options: _Options, split: str, count: int | None, distinct: bool
+) -> _Part:
     """Return the problems of a problem set, or the first ``count`` of them.
 
     Raises:
@@ -480,7 +489,9 @@ def _set_part(problem_set: ProblemSet, options: _Options, split: str, count: int
     dataset = ProblemSetDataset(problem_set, **serving)
     if count is not None and count > len(dataset) and not dataset.serving.augment:
         raise ValueError(f"count: got {count}, but the problem set has {len(dataset)} problems")
-    return _Part(split, dataset, np.arange(len(dataset) if count is None else count))
+    if count is None or (distinct and count < len(dataset)):
+        count = len(dataset)
+    return _Part(split, dataset, np.arange(count))
 
 
 def _problem_set(source: Any) -> ProblemSet | None:

@@ -809,6 +809,20 @@ def test_distinct_keeps_the_problems_that_are_no_copies(tmp_path: Path) -> None:
         )
 
 
+def test_later_problems_of_a_dataset_take_the_places_of_copies(tmp_path: Path) -> None:
+    """With a count; the dataset has enough maps that differ, and the first ones are equal."""
+    first, second, third = random_grids(3, 12, 12)
+    grids = {"a": first, "b": first[::-1].copy(), "c": second, "d": third}
+    maps = [ForeignMap(name, grid, 0) for name, grid in grids.items()]
+    import_maps(tmp_path / "maps", Collection(maps), seed_points=2)
+    fields = ("map_index",)
+    options: dict[str, Any] = {"fields": fields, "problems": "random", "split": "train"}
+    export_problems(tmp_path / "maps", tmp_path / "out", **options, count=3, distinct=True)
+    assert np.load(tmp_path / "out/train/map_index.npy").tolist() == [0, 2, 3]
+    with pytest.raises(ValueError, match="train has only 3 problems on maps that differ"):
+        export_problems(tmp_path / "maps", tmp_path / "no", **options, count=4, distinct=True)
+
+
 def test_too_few_distinct_maps_are_an_error(tmp_path: Path) -> None:
     """Perfect mazes of 7 x 7 cells: 14 maps, of which symmetries leave 6."""
     with pytest.raises(ValueError, match="train has only 6 problems on maps that differ"):
