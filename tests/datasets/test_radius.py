@@ -192,7 +192,11 @@ def assert_true(sample: Sample, grid: Array, search: str, movement: Movement) ->
         "path_probability": probabilities(best_path, costs, grid, movement),
         "clearance": clearance(grid),
     }
+    picture = np.repeat(255 * (1 - grid[None].astype(int)), 3, axis=0)
+    picture[(slice(None), *goal)] = (0, 255, 0)
+    picture[(slice(None), *start)] = (255, 0, 0)
     numbers = {
+        "maze_image": picture,
         "length": len(found.path),
         "cost": found.cost,
         "hardness": best / on_empty[start] if solvable else -1,
