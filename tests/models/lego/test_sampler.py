@@ -585,23 +585,26 @@ def test_learns_from_map_start_goal_path(tmp_path: Path) -> None:
     pl.seed_everything(0)
     module = MapDataModule(None, build="paper", batch_size=16)
     model = small_model(Heatmap, targets="path", learning_rate=0.02)
-    batch = next(iter(module.val_dataloader()))
-    assert batch._fields == ("map", "start", "goal", "path")
+    batches = list(itertools.islice(module.val_dataloader(), 8))
+    assert batches[0]._fields == ("map", "start", "goal", "path")
 
     def share_on_paths() -> float:
-        """Return the share of samples that lie in cells of the path, five for each problem."""
-        grids = batch.map[:, 0].numpy()
-        points = model.sample_batch(grids, batch.start.numpy(), batch.goal.numpy(), 5)
+        """Return the share of samples that lie in cells of the path, twenty for each problem."""
         on_path = []
-        for cells, path in zip(np.floor(points).astype(int), batch.path, strict=True):
-            path_cells = path.tolist()
-            on_path += [cell in path_cells for cell in cells.tolist()]
+        for batch in batches:
+            grids = batch.map[:, 0].numpy()
+            points = model.sample_batch(grids, batch.start.numpy(), batch.goal.numpy(), 20)
+            for cells, path in zip(np.floor(points).astype(int), batch.path, strict=True):
+                path_cells = path.tolist()
+                on_path += [cell in path_cells for cell in cells.tolist()]
         return float(np.mean(on_path))
 
     before = share_on_paths()
     trainer(tmp_path, enable_checkpointing=False).fit(model.train(), module)
     model.eval()
-    assert share_on_paths() > before + 0.1
+    # Of five seeds, each gained .106 to .124.  The bound leaves room for another machine's
+    # arithmetic: 2,560 samples have a standard error below .01.
+    assert share_on_paths() > before + 0.06
 
 
 def mean_loss(model: Sampler, module: FixedProblems) -> float:
