@@ -19,7 +19,6 @@ MODULE:NAME is a planner, or a class or function that takes a `mapdata.Movement`
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 import math
 import re
@@ -37,7 +36,7 @@ from planner_results import Results, this_run
 
 from mapdata import MapDataModule, MapGenerator, MapSpec, Maze, Movement, ProblemSet, evaluate
 from mapdata.arrays import Bytes
-from mapdata.cli import load_problems
+from mapdata.cli import load_problems, own_planner
 from mapdata.evaluation import TIMES, BatchPlanner, Plan, Planner, classical
 from mapdata.limits import Cell
 from mapdata.models import GuidedSearch, NeuralAstar, PathPredictor, fast_precision
@@ -242,18 +241,6 @@ def all_planners(movement: Movement) -> list[Planner]:
     """Return the classical planners and the search with the pretrained weights for a movement."""
     model = PathPredictor.pretrained(SHIPPED[movement])
     return [*classical(movement), GuidedSearch(SEARCH, model)]
-
-
-def own_planner(reference: str) -> Callable[[Movement], list[Planner]]:
-    """Return a function that gives the planner of MODULE:NAME for a movement."""
-    module, separator, name = reference.partition(":")
-    if not separator:
-        raise ValueError(f"--add: got {reference}, expected MODULE:NAME")
-    sys.path.insert(0, str(Path.cwd()))
-    planner = getattr(importlib.import_module(module), name)
-    if hasattr(planner, "plan") and not isinstance(planner, type):
-        return lambda movement: [planner]
-    return lambda movement: [planner(movement)]
 
 
 def measure_file(
@@ -725,9 +712,11 @@ def main(arguments: list[str] | None = None) -> None:
     elif options.file:
         measure_file(results, options.file, options.weights, options.baseline, command)
     elif not options.pages:
-        rows = own_planner(options.add) if options.add else all_planners
+        own = own_planner(options.add, "--add") if options.add else None
         for name in options.sets or SETS:
-            measure(results, name, rows(RULES[SETS[name][1]]), command)
+            movement = RULES[SETS[name][1]]
+            rows = [own(movement)] if own else all_planners(movement)
+            measure(results, name, rows, command)
             results.write(path)
             print(f"{name}\n\n{table_of(results, name)}\n", flush=True)
     results.write(path)

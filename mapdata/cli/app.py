@@ -17,7 +17,7 @@ from typing import Literal
 from zipfile import is_zipfile
 
 from mapdata._version import __version__
-from mapdata.cli import convert, export
+from mapdata.cli import convert, evaluate, export
 from mapdata.cli.common import (
     Command,
     DisagreeError,
@@ -439,6 +439,7 @@ VERBS: dict[str, Command] = {
     "import": convert.import_command,
     "export": export.export_command,
     "check-scen": convert.check_scen_command,
+    "evaluate": evaluate.evaluate_command,
 }
 
 FORMAT_FLAGS = {"import": convert.add_import_flags, "export": export.add_export_flags}

@@ -22,7 +22,12 @@ from hypothesis import strategies as st
 from mapdata import PRESETS, MapGenerator, Maze, Movement, astar, check_path, generate, search_batch
 from mapdata.arrays import Bytes, Ints
 from mapdata.generators.maps import Maps
-from mapdata.search.api import solve_by_goal_fields, solve_by_jump_points
+from mapdata.search.api import (
+    BatchResult,
+    solve_by_goal_fields,
+    solve_by_jump_points,
+    solve_by_landmarks,
+)
 from mapdata.search.jump_points import find_free_neighbours, jump_costs
 from mapdata.search.kernels import plain_new_scratch
 from mapdata.search.lattice import (
@@ -49,6 +54,15 @@ class Problem(NamedTuple):
     start: Cell
     goal: Cell
 
+
+def solve_by_three_landmarks(
+    grids: Bytes, starts: Ints, goals: Ints, movement: Movement
+) -> tuple[BatchResult, Ints]:
+    """Solve problems by A* with three landmarks, with the arguments of the other solvers."""
+    return solve_by_landmarks(grids, starts, goals, movement, 3)
+
+
+SOLVERS = (solve_by_jump_points, solve_by_goal_fields, solve_by_three_landmarks)
 
 SHAPES = [(1, 1), (1, 30), (30, 1), (2, 2), (2, 9), (5, 8), (12, 12), (16, 9), (3, 64), (20, 20)]
 
@@ -280,7 +294,7 @@ def test_costs_equal_those_of_the_slow_reference(movement: Movement, problem: Pr
     """Which knows nothing of the package."""
     grid, start, goal = problem
     expected = reference.reference_astar(grid.tolist(), start, goal, movement)
-    for solve in (solve_by_jump_points, solve_by_goal_fields):
+    for solve in SOLVERS:
         paths, _ = solve(grid[None], np.array([start]), np.array([goal]), movement)
         assert paths.cost.tolist() == [expected.cost]
 
@@ -357,7 +371,7 @@ def test_bad_problems_are_refused_by_number() -> None:
     grids = np.zeros((2, 3, 3), np.uint8)
     grids[1, 1, 1] = 1
     starts = np.array([[0, 0], [0, 0]])
-    for solve in (solve_by_jump_points, solve_by_goal_fields):
+    for solve in SOLVERS:
         with pytest.raises(ValueError, match=r"problem 1: goal: \(1, 1\) is on an occupied cell"):
             solve(grids, starts, np.array([[1, 1], [1, 1]]), Movement(8))
         with pytest.raises(ValueError, match=r"problem 0: goal: \(3, 1\) is outside"):
