@@ -166,9 +166,9 @@ class LandmarkAstar(Batched):
 
     Its paths are optimal. Landmarks are chosen from the map alone, so one preparation serves all
     problems of a map: `plan_batch` prepares each grid of (B, H, W), but prepares a single grid
-    (H, W), which all problems share, only once. Its prepared cells are those that the floods visit, all floods
-    together: one that finds the largest component, one that finds its farthest cell, and one from
-    each landmark.
+    (H, W), which all problems share, only once. Its prepared cells are those that the floods visit,
+    all floods together: one that finds the largest component, one that finds its farthest cell, and
+    one from each landmark.
 
     Source: Goldberg and Harrelson, SODA 2005, "ALT" with farthest landmarks, without its lower
     bounds in two directions; costs here are the same in both directions.

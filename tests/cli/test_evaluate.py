@@ -1,5 +1,5 @@
-"""The verb ``evaluate``: its tables equal those of `mapdata.evaluate`, and a planner of one's own is
-a row.
+"""The verb ``evaluate``: its tables equal those of `mapdata.evaluate`, and one's own planner is a
+row of them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from mapdata.evaluation import TIMES, classical
 
 DUNGEON = MapSpec.preset("dungeon")
 
-MODULE = '''
+MODULE = """
 import numpy as np
 
 from mapdata import Plan, astar
@@ -60,7 +60,7 @@ def make(movement):
 from mapdata import Movement
 instance = Mine(Movement(8))
 number = 3
-'''
+"""
 
 
 @pytest.fixture
@@ -85,7 +85,9 @@ def test_a_planner_of_ones_own_is_a_row(
     module: str, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A class, a function and an object; here all are mapdata's A*, so the rows agree."""
-    main(["evaluate", "dungeon", "--maps", "9", "--planner", f"{module}:{name}", "--json", "a.json"])
+    main(
+        ["evaluate", "dungeon", "--maps", "9", "--planner", f"{module}:{name}", "--json", "a.json"]
+    )
     rows = {(row["planner"], row["subset"]): row for row in rows_of(Path("a.json"))}
     assert len(rows) == 2 * (len(classical(Movement(8))) + 1)
     for subset in ("all", "hard"):
@@ -146,7 +148,10 @@ def test_the_figure_is_written(tmp_path: Path) -> None:
         (["dungeon", "--planner", "missing:Mine"], "there is no module 'missing'"),
         (["dungeon", "--planner", "own_planners:Mina"], "has no 'Mina'; did you mean Mine?"),
         (["dungeon", "--planner", "own_planners:number"], "own_planners:number is no planner"),
-        (["dungeon", "--planner", "own_planners:Nameless"], "expected an object with a text 'name'"),
+        (
+            ["dungeon", "--planner", "own_planners:Nameless"],
+            "expected an object with a text 'name'",
+        ),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
