@@ -61,8 +61,8 @@ from torch import Tensor, nn
 
 from mapdata import Movement, Sample
 from mapdata.arrays import Bytes, Float32s, Ints
-from mapdata.checks import check_finite, check_flag
-from mapdata.search import STEPS
+from mapdata.checks import check_count, check_finite, check_flag
+from mapdata.search import STEPS, path_waypoints
 
 from .geometry import heuristic, legal_moves, min_and_mean_costs, offsets
 from .layers import Trunk, padded
@@ -441,3 +441,31 @@ class PathPredictor(LearnedPlanner):
         """
         walk = GuidedSearch("walk", self, trust=math.inf)
         return walk.plan(map, start, goal, terrain).path.astype(np.int64)
+
+    def predict_waypoints(
+        self, map: ArrayLike, start: ArrayLike, goal: ArrayLike, count: int = 32
+    ) -> Float32s:
+        """Return points of a collision-free line from start to goal, (count, 2) float32, in cells.
+
+        The line is the path of `predict_path`, pulled taut. Its points are divided as those of the
+        field ``waypoints``, so the lines of this model are compared with it. The middle of cell
+        (r, c) is (r + 0.5, c + 0.5). All points are -1 where there is no path.
+
+        Args:
+            map: (H, W) or (1, H, W), 0 free and 1 occupied.
+            start: (2,), cell.
+            goal: (2,), cell.
+            count: number of points, start and goal included; at least 2.
+
+        Raises:
+            ValueError: a start or goal outside the map or on an occupied cell; a line with more
+                than ``count`` - 2 bends.
+        """
+        check_count("count", count, minimum=2)
+        path = self.predict_path(map, start, goal)
+        if not len(path):
+            return np.full((count, 2), -1, np.float32)
+        grid = np.asarray(map) != 0
+        grid = grid.reshape(grid.shape[-2:])
+        cuts_corners = self.movement.corner_cutting
+        return path_waypoints(grid, path, count, corner_cutting=cuts_corners)

@@ -15,7 +15,7 @@ from mapdata.search.api import (
 from mapdata.search.footprint import clearance, inflate, inflate_terrain
 from mapdata.search.labels import Labels, RouteLabels, label
 from mapdata.search.lattice import hardness, move_rule
-from mapdata.search.taut import lines_are_free, pull_taut, to_metres
+from mapdata.search.taut import lines_are_free, path_waypoints, pull_taut, to_metres
 
 __all__ = [
     "STEPS",
@@ -35,6 +35,7 @@ __all__ = [
     "label",
     "lines_are_free",
     "move_rule",
+    "path_waypoints",
     "pull_taut",
     "search_batch",
     "terrain_from_costs",

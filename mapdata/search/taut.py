@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mapdata.arrays import Bytes, Flags, Float32s, Floats, Ints
-from mapdata.checks import check_number
+from mapdata.checks import check_count, check_number
 from mapdata.jit import Int, inlined, kernel
 from mapdata.movement import Movement
 from mapdata.search.api import as_grid, check_path, values_complaint
@@ -236,6 +236,54 @@ def lines_are_free(
     inside_or_near = np.clip(np.nan_to_num(points, nan=-1.0), -1, MAX_TAUT_SIDE + 1)
     rounded = np.rint(inside_or_near * CELL).astype(np.int64)
     return _lines_are_free(cells, rounded, robot_of(radius_cells).squared_radius, corner_cutting)
+
+
+def path_waypoints(
+    grid: ArrayLike, path: ArrayLike, count: int = 32, *, corner_cutting: bool = False
+) -> Float32s:
+    """Return points along the taut line of a path, as the field ``waypoints`` has them.
+
+    All bends of the line are among the points, and the largest gap is as small as possible. All
+    segments between the points are proved free.
+
+    Args:
+        grid: (H, W) of 0 free and 1 occupied, or bool; at most 65,536 rows and columns.
+        path: (k, 2) cells (row, col) of an 8- or 4-connected path, k at least 1.
+        count: T, the number of points, start and goal included; at least 2.
+        corner_cutting: whether diagonal moves of the path may pass beside occupied cells.
+
+    Returns:
+        (T, 2) float32 points (row, col) in cells. The middle of cell (r, c) is (r + 0.5, c + 0.5).
+
+    Raises:
+        ValueError: what `mapdata.check_path` refuses; a grid that is too large; a line with more
+            than T - 2 bends.
+
+    >>> grid = [[0, 0, 0], [0, 1, 1], [0, 0, 0]]
+    >>> path_waypoints(grid, [(0, 1), (0, 0), (1, 0), (2, 0), (2, 1)], count=4)
+    array([[0.5, 1.5],
+           [1. , 1. ],
+           [2. , 1. ],
+           [2.5, 1.5]], dtype=float32)
+    """
+    cells = as_grid(grid, 2)
+    _check_size(cells)
+    points_per_line = check_count("count", count, minimum=2)
+    check_path(cells, path, Movement(8, corner_cutting=corner_cutting))
+    own_path = np.array(np.asarray(path), np.int64)  # contiguous and writable, for the kernel
+    points = np.empty((1, points_per_line, 2), np.float32)
+    offsets = np.array([0, len(own_path)], np.int64)
+    (bends,) = write_waypoints(
+        cells[None], own_path, offsets, robot_of(0), corner_cutting, points
+    ).tolist()
+    if bends == NOT_FREE:
+        raise RuntimeError("no free line along the path: please report this")
+    if bends > points_per_line - 2:
+        raise ValueError(
+            f"count: got {count} points for a line of {bends} bends, expected at least {bends + 2}"
+        )
+    line: Float32s = points[0]
+    return line
 
 
 def to_metres(

@@ -24,6 +24,7 @@ from mapdata import (
 )
 from mapdata.datasets import Batch
 from mapdata.datasets.fields import Paths, Rooms, StoredMaps
+from mapdata.search import path_waypoints
 
 RADIUS = 0.09
 """Metres; cells of 0.1 m beside obstacles are left out."""
@@ -83,6 +84,29 @@ def test_stored_online_and_augmented_problems_have_taut_lines(
         for index in range(8):
             sample = dataset[index]
             check_sample(sample, sample.map[0].numpy())
+
+
+@pytest.mark.parametrize("family", ["dungeon", "noise", "forest"])
+@pytest.mark.parametrize("movement", [Movement(4), Movement(8), Movement(8, corner_cutting=True)])
+def test_paths_of_planners_have_the_points_of_the_field(family: str, movement: Movement) -> None:
+    """`path_waypoints` of the path that a dataset serves are the waypoints that it serves."""
+    fields = ("map", "path", Waypoints(48, fill=True))
+    samples_of_family = OnlineMapDataset(
+        family, SEED, 40, fields=fields, movement=movement, problems="random"
+    )[:]
+    refused = 0
+    for grids, padded, expected in zip(*samples_of_family, strict=True):
+        path = padded[padded[:, 0] >= 0]
+        cuts_corners = movement.corner_cutting
+        if expected[0, 0] < 0:
+            bends = len(pull_taut(grids[0], path)) - 2
+            with pytest.raises(ValueError, match=f"count: got 48 points for a line of {bends} ben"):
+                path_waypoints(grids[0], path, 48, corner_cutting=cuts_corners)
+            refused += 1
+            continue
+        points = path_waypoints(grids[0], path, 48, corner_cutting=cuts_corners)
+        np.testing.assert_array_equal(points, expected)
+    assert refused < 20
 
 
 @pytest.mark.parametrize("augment", [False, True])

@@ -39,6 +39,8 @@ from mapdata import (
     astar,
     check_path,
     evaluate,
+    lines_are_free,
+    pull_taut,
 )
 from mapdata.evaluation import Planner, classical
 from mapdata.models.geometry import heuristic, legal_moves
@@ -356,6 +358,24 @@ def test_the_predicted_path_is_that_of_the_walk() -> None:
     for plan, grid, start, goal in zip(walks, drawn.grids, drawn.starts, drawn.goals, strict=True):
         path = model.predict_path(torch.tensor(grid)[None], torch.tensor(start), goal)
         assert path.tolist() == plan.path.tolist()
+
+
+def test_predicted_waypoints_are_the_predicted_path_pulled_taut() -> None:
+    """They are free, hold every bend of that line, and are -1 where there is no path."""
+    model = random_model()
+    drawn = ProblemSet.sample(DUNGEON, 8, 20, movement=Movement(8))
+    lines = []
+    for grid, start, goal in zip(drawn.grids, drawn.starts, drawn.goals, strict=True):
+        line = model.predict_waypoints(torch.tensor(grid)[None], torch.tensor(start), goal, 60)
+        bends = pull_taut(grid, model.predict_path(grid, start, goal))
+        assert {tuple(point) for point in bends} <= {tuple(point) for point in line.tolist()}
+        lines.append(line)
+    assert lines_are_free(drawn.grids, np.array(lines)).all()
+    grid = np.zeros((9, 9), np.uint8)
+    grid[:, 4] = 1
+    assert (model.predict_waypoints(grid, (0, 0), (8, 8), 5) == np.full((5, 2), -1)).all()
+    with pytest.raises(ValueError, match="count: got 1"):
+        model.predict_waypoints(grid, (0, 0), (8, 8), 1)
 
 
 def test_start_at_the_goal_and_walls() -> None:

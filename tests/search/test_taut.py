@@ -33,6 +33,7 @@ from mapdata.search.taut import (
     _is_far_from_corner,
     has_room,
     is_free_segment,
+    path_waypoints,
     robot_of,
     write_waypoints,
 )
@@ -632,3 +633,9 @@ def test_pulling_refuses_what_it_cannot_serve() -> None:
         pull_taut(free, [(0, 0)], radius_cells=-1)
     with pytest.raises(ValueError, match="grid: got 1 x 65537 cells, expected at most 65,536"):
         pull_taut(np.zeros((1, MAX_TAUT_SIDE + 1), np.uint8), [(0, 0)])
+    with pytest.raises(ValueError, match="grid: got 1 x 65537 cells, expected at most 65,536"):
+        path_waypoints(np.zeros((1, MAX_TAUT_SIDE + 1), np.uint8), [(0, 0)])
+    with pytest.raises(ValueError, match="count: got 1, expected"):
+        path_waypoints(free, [(0, 0)], 1)
+    with pytest.raises(ValueError, match=r"path: step 0, from \(0, 0\) to \(1, 1\)"):
+        path_waypoints([[0, 1], [0, 0]], [(0, 0), (1, 1)])
