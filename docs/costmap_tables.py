@@ -1,10 +1,11 @@
 """Measure costmaps that are learnt from drives, and write the results of docs/howto/costmap.md.
 
-    python docs/costmap_tables.py NAV2 RESULTS [--tracks TRACKS]
+    python docs/costmap_tables.py NAV2 [--tracks TRACKS]     docs/costmap_results.json and the page
+    python docs/costmap_tables.py                           the page again, measuring nothing
 
 NAV2 is a clone of https://github.com/ros-navigation/navigation2, for its maps. TRACKS is a clone
-of https://github.com/f1tenth/f1tenth_racetracks, for race lines that nobody here wrote. RESULTS is
-a JSON file. With five seeds it takes about an hour on one core.
+of https://github.com/f1tenth/f1tenth_racetracks, for race lines that nobody here wrote. With five
+seeds it takes half an hour on one core.
 
 Drivers are programs. Each has hidden costs and drives the cheapest paths under them, on the map
 `TRAINING_MAP`. The costs learnt from its drives are tried on the maps of `TEST_MAPS`, which
@@ -25,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 import torch
+from planner_tables import filled, markdown
 
 from mapdata import check_path, search_batch, terrain_from_costs
 from mapdata.arrays import Bytes, Float32s, Floats, Ints
@@ -34,6 +36,10 @@ from mapdata.models.costmap import MOVEMENT, Costmap, fit_costmap, inflation_cos
 from mapdata.search import clearance, inflate
 from mapdata.search.lattice import CORNER_CUTTING
 from mapdata.shards import write_output
+
+DOCS = Path(__file__).parent
+RESULTS = DOCS / "costmap_results.json"
+PAGE = DOCS / "howto" / "costmap.md"
 
 ROBOT_RADIUS = 0.2
 TRAINING_MAP = "nav2_bringup/maps/depot.yaml"
@@ -267,28 +273,88 @@ def measure_track(tracks: Path, name: str) -> dict[str, Any]:
     }
 
 
+# --- the page -----------------------------------------------------------------------------------
+
+METHODS = ("learnt costs", "inflation layer", "shortest path")
+
+
+def driver_table(rows: list[dict[str, Any]]) -> str:
+    """Return the regrets of each driver: the mean over seeds and maps, and over seeds of the worst
+    map.
+    """
+    head = ["driver", "drives", *METHODS, "largest error of the curve"]
+    lines = [head]
+    for (name, count), group in _groups(rows):
+        if name not in WITH_REGRET:
+            continue
+        cells = []
+        for method in METHODS:
+            regrets = np.array([[of[method] for of in row["regret"].values()] for row in group])
+            worst = regrets.mean(axis=0).max()  # of the map whose mean over seeds is largest
+            cells.append(f"{regrets.mean():.2f}; {worst:.2f}")
+        errors = [row["curve_error"] for row in group if "curve_error" in row]
+        lines.append([name, str(count), *cells, f"{np.mean(errors):.0f} %" if errors else "-"])
+    return markdown(lines)
+
+
+def distance_table(rows: list[dict[str, Any]], tracks: list[dict[str, Any]]) -> str:
+    """Return how far held-back drives are from the planned paths."""
+    lines = [["driver", "drives", *METHODS]]
+    groups = [(name, str(count), group) for (name, count), group in _groups(rows)]
+    groups += [("race lines of five tracks", "10 parts of a lap", tracks)] if tracks else []
+    for name, count, group in groups:
+        cells = []
+        for method in METHODS:
+            distance = np.mean([row["comparison"][method]["distance"] for row in group])
+            within = np.mean([row["comparison"][method]["within"] for row in group])
+            cells.append(f"{distance:.2f} cells, {100 * within:.0f} %")
+        lines.append([name, count, *cells])
+    return markdown(lines)
+
+
+def _groups(
+    rows: list[dict[str, Any]],
+) -> list[tuple[tuple[str, int], list[dict[str, Any]]]]:
+    """Return the rows of each driver and number of drives."""
+    keys = [(name, count) for name in DRIVERS for count in DRIVES]
+    return [
+        (key, [row for row in rows if (row["driver"], row["drives"]) == key])
+        for key in keys
+        if any((row["driver"], row["drives"]) == key for row in rows)
+    ]
+
+
+def write_page(results: dict[str, list[dict[str, Any]]]) -> None:
+    """Write the tables of docs/howto/costmap.md anew."""
+    tables = {
+        "regret": driver_table(results["drivers"]),
+        "distance": distance_table(results["drivers"], results["tracks"]),
+    }
+    text = filled(PAGE.read_text(encoding="utf-8"), tables)
+    write_output(PAGE, text.encode())
+
+
 def main(arguments: list[str] | None = None) -> None:
-    """Measure all rows, and write them."""
+    """Measure all rows, and write them and the page."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("nav2", type=Path, metavar="NAV2")
-    parser.add_argument("results", type=Path, metavar="RESULTS")
+    parser.add_argument("nav2", type=Path, nargs="?", metavar="NAV2")
     parser.add_argument("--tracks", type=Path, metavar="TRACKS")
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)
-    rows: dict[str, list[dict[str, Any]]] = {"drivers": [], "tracks": []}
-    for seed in options.seeds:
-        for name in DRIVERS:
-            for count in DRIVES:
-                rows["drivers"].append(measure_driver(options.nav2, name, count, seed))
-                print(json.dumps(rows["drivers"][-1]), flush=True)
-                write_output(options.results, json.dumps(rows, indent=1).encode())
-    for name in TRACKS if options.tracks else ():
-        rows["tracks"].append(measure_track(options.tracks, name))
-        print(json.dumps(rows["tracks"][-1]), flush=True)
-    write_output(options.results, (json.dumps(rows, indent=1) + "\n").encode())
+    if options.nav2 is not None:
+        rows: dict[str, list[dict[str, Any]]] = {"drivers": [], "tracks": []}
+        for seed in SEEDS:
+            for name in DRIVERS:
+                for count in DRIVES:
+                    rows["drivers"].append(measure_driver(options.nav2, name, count, seed))
+                    print(json.dumps(rows["drivers"][-1]), flush=True)
+        for name in TRACKS if options.tracks else ():
+            rows["tracks"].append(measure_track(options.tracks, name))
+            print(json.dumps(rows["tracks"][-1]), flush=True)
+        write_output(RESULTS, (json.dumps(rows, indent=1) + "\n").encode())
+    write_page(json.loads(RESULTS.read_text(encoding="utf-8")))
 
 
 if __name__ == "__main__":

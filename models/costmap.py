@@ -37,7 +37,7 @@ from torch import nn
 from mapdata import Movement, search_batch, terrain_from_costs
 from mapdata.arrays import Bytes, Float32s, Floats, Ints, offsets_of
 from mapdata.checks import check_count
-from mapdata.formats.ros import RosMap
+from mapdata.formats import RosMap
 from mapdata.search import clearance, inflate
 from mapdata.shards import write_output
 
@@ -66,6 +66,11 @@ through a building.
 
 MARGIN = 12
 """Number of cells around a part in which training looks for cheaper paths."""
+
+MAX_LOG_COST = 1.5
+"""The dearest free cell costs at most exp(3) = 20 times as much as the cheapest one. NavFn can tell
+apart a ratio of 5.
+"""
 
 PARTS = 12
 """Number of parts of drives in a training step."""
@@ -468,9 +473,7 @@ def _fitted(
             for group in optimizer.param_groups:
                 group["lr"] = rate
             windows = _windows_of(sites, _random_parts(drives, PARTS, rng), centre, scale)
-            costs = model(
-                torch.from_numpy(windows.planes), torch.from_numpy(windows.grids[:, None])
-            )  # (B, h, w)
+            costs = bounded(model.log_costs(torch.from_numpy(windows.planes))).exp()  # (B, h, w)
             driven, planned = map(torch.from_numpy, _weights_of(windows, costs.detach().numpy()))
             driven_costs = (costs * driven).sum(dim=(1, 2))
             planned_costs = (costs * planned).sum(dim=(1, 2))
@@ -483,6 +486,15 @@ def _fitted(
             nn.utils.clip_grad_norm_(model.parameters(), 1.0)
             optimizer.step()
     return model.eval()
+
+
+def bounded(log_costs: torch.Tensor) -> torch.Tensor:
+    """Return logarithms of costs within `MAX_LOG_COST` of 0, and nearly as they are near 0.
+
+    Otherwise a single dear cell, which every path has to cross, could outweigh the rest of a path,
+    and all paths would cost nearly the same.
+    """
+    return MAX_LOG_COST * torch.tanh(log_costs / MAX_LOG_COST)
 
 
 def _random_parts(drives: list[Drive], count: int, rng: np.random.Generator) -> list[Drive]:
@@ -528,7 +540,7 @@ def _log_costs(model: CostPredictor, planes: Float32s, centre: Floats, scale: Fl
     """Return the logarithm of the cost of each cell, (H, W), up to a constant."""
     of_order_one = ((planes - centre[:, None, None]) / scale[:, None, None]).astype(np.float32)
     with torch.inference_mode():
-        logs: Float32s = model.log_costs(torch.from_numpy(of_order_one)[None])[0].numpy()
+        logs: Float32s = bounded(model.log_costs(torch.from_numpy(of_order_one)[None]))[0].numpy()
     return logs
 
 

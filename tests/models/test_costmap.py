@@ -41,7 +41,8 @@ def office(origin: tuple[float, float, float] = (-3.0, 2.0, 0.0)) -> RosMap:
 def hidden_terrain(site_grid: Bytes, obstacles: Bytes) -> Bytes:
     """Return the costs of a driver who keeps .6 m from walls."""
     costs = 1 + 6 * np.abs(np.minimum(clearance(obstacles) * RESOLUTION, 1.5) - 0.6)
-    return terrain_from_costs(np.where(site_grid, 1, costs)[None], site_grid[None])[0]
+    terrain: Bytes = terrain_from_costs(np.where(site_grid, 1, costs)[None], site_grid[None])[0]
+    return terrain
 
 
 def problems(grid: Bytes, count: int, seed: int) -> list[tuple[Ints, Ints]]:
