@@ -247,7 +247,7 @@ def table(rows: list[dict[str, Any]]) -> str:
             cells.append(interval(frame[effort], 0))
             cells += [
                 interval(100 * frame["opt"], 1, " %"),
-                interval(100 * frame["regret"], 3, " %"),
+                interval(100 * frame["regret"], 4, " %"),
             ]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
