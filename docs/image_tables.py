@@ -28,6 +28,7 @@ from mapdata import (
     OnlineMapDataset,
     ProblemSet,
     ProblemSetDataset,
+    Sample,
     Terrain,
     Tiles,
     search_batch,
@@ -104,9 +105,8 @@ MORE_SEEDS = (3, 4, 5, 6, 7, 8, 9)
 """Further seeds of the trainings on 10,000 maps of ``terrain``, the hardest ones."""
 
 
-def train(family: Family, maps: int, loss: str, seed: int) -> tuple[CostPredictor, dict[str, Any]]:
-    """Return a model that is trained on new maps of a family, and what the training took."""
-    pl.seed_everything(seed, verbose=False)
+def training_batches(family: Family, maps: int, seed: int) -> DataLoader[Sample]:
+    """Return the batches of an epoch: new maps of a family with their images and paths."""
     data = OnlineMapDataset(
         family.generator,
         seed=1000 + seed,
@@ -115,7 +115,13 @@ def train(family: Family, maps: int, loss: str, seed: int) -> tuple[CostPredicto
         fields=(*TRAINING_FIELDS, Tiles(alike=True, noise=NOISE)),
         problems=family.problems,
     )
-    loader = DataLoader(data, family.batch_size, shuffle=True, drop_last=True)
+    return DataLoader(data, family.batch_size, shuffle=True, drop_last=True)
+
+
+def train(family: Family, maps: int, loss: str, seed: int) -> tuple[CostPredictor, dict[str, Any]]:
+    """Return a model that is trained on new maps of a family, and what the training took."""
+    pl.seed_everything(seed, verbose=False)
+    loader = training_batches(family, maps, seed)
     movement = family.generator.movement
     # "whole paths" is the loss of "paths" without parts of them.
     arguments: dict[str, Any] = {"parts": 0} if loss == "whole paths" else {"loss": loss}
