@@ -62,8 +62,7 @@ def build_command(
         root: folder of the dataset
         maps: number of maps (default: that of the recipe, or 10000)
         seed: 64-bit seed of the maps (default: that of the recipe, or 0)
-        preset: paper, narrow, dungeon, dungeon128, maze, maze15, maze30, cave, forest, noise,
-            noise30, terrain or tiles (default: paper); 'mapdata list' describes them
+        preset: {presets} (default: paper); 'mapdata list' describes them
         map_size: rows and columns of a map (default: those of the preset)
         recipe: file that 'mapdata info ROOT --recipe' wrote, JSON text of a recipe, or a preset's
             name

@@ -309,6 +309,11 @@ def add_flag(
     else:
         settings = {"type": annotation, "metavar": upper_name}
     text = option.help.removesuffix(".").replace("%", "%%")
+    if "{presets}" in text:
+        from mapdata.generators import PRESETS
+
+        *first, last = PRESETS
+        text = text.replace("{presets}", f"{', '.join(first)} or {last}")
     if option.default is not None and option.default is not False:
         text += f" (default: {option.default})"
     parser.add_argument(*flags, dest=name, default=default, help=text, **settings)
