@@ -35,14 +35,17 @@ def test_both_command_lines_stand_at_the_top() -> None:
 def test_its_numbers_are_those_of_the_benchmarks() -> None:
     """Each range goes from the smallest to the largest ratio of the rows of docs/benchmarks.md."""
     measured = (DOCS / "benchmarks.md").read_text(encoding="utf-8")
-    section = measured.split("\n## Beside graph libraries and planners in C++\n")[1].split("\n## ")[0]
-    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in section.splitlines() if "|" in line]
+    title = "\n## Beside graph libraries and planners in C++\n"
+    section = measured.split(title)[1].split("\n## ")[0]
+    lines = [line for line in section.splitlines() if line.startswith("|")]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
 
     def said(moves: int, *words: str) -> str:
         ratios = [
             float(ratio.removesuffix("x"))
             for work, _, _, ratio, _, note in rows
-            if f", {moves} moves" in work and "512" not in work
+            if f", {moves} moves" in work
+            and "512" not in work
             and all(word in f"{work}; {note}" for word in words)
         ]
         assert ratios, words
