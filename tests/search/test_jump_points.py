@@ -13,10 +13,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from helpers import reference
+from helpers.examples import examples
 from helpers.grids import serpentine
 from helpers.reference import Cell
 from helpers.specs import MOVEMENTS
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mapdata import PRESETS, MapGenerator, Maze, Movement, astar, check_path, generate, search_batch
@@ -280,7 +281,7 @@ def assert_problem_is_solved(problem: Problem, movement: Movement) -> None:
 
 
 @eight_moves
-@settings(max_examples=150)
+@examples(150)
 @given(problem=problems())
 def test_costs_equal_those_of_astar(movement: Movement, problem: Problem) -> None:
     """The paths are full and legal, too."""
@@ -288,7 +289,7 @@ def test_costs_equal_those_of_astar(movement: Movement, problem: Problem) -> Non
 
 
 @eight_moves
-@settings(max_examples=15)
+@examples(15)
 @given(problem=problems())
 def test_costs_equal_those_of_the_slow_reference(movement: Movement, problem: Problem) -> None:
     """Which knows nothing of the package."""
@@ -430,7 +431,7 @@ def costs_by_jumps(problem: Problem, movement: Movement, max_cost: int) -> dict[
 
 @eight_moves
 @given(problem=problems())
-@settings(max_examples=12)
+@examples(12)
 def test_costs_of_all_cells_equal_those_of_a_slow_search(
     movement: Movement, problem: Problem
 ) -> None:
