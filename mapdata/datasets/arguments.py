@@ -195,10 +195,13 @@ def torch_dtype(dtype: torch.dtype | str | None, names: Sequence[str]) -> torch.
     torch_type = dtype
     if isinstance(dtype, str):
         torch_type = getattr(torch, dtype.removeprefix("torch."), dtype)
-    is_used = not set(names).isdisjoint(MAPS_AND_MASKS)
-    if isinstance(torch_type, torch.dtype) and is_used:
-        return torch_type
-    raise ValueError(
-        f"dtype: got {dtype!r}, expected one of torch, such as torch.float32 or its name, and one "
-        f"of {', '.join(MAPS_AND_MASKS)} among the fields"
-    )
+    if not isinstance(torch_type, torch.dtype):
+        raise ValueError(
+            f"dtype: got {dtype!r}, expected one of torch, such as torch.float32 or its name"
+        )
+    if set(names).isdisjoint(MAPS_AND_MASKS):
+        raise ValueError(
+            f"dtype: got {dtype!r}, which converts maps and masks only, and none is served: "
+            f"expected one of {', '.join(MAPS_AND_MASKS)} among the fields"
+        )
+    return torch_type

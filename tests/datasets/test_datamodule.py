@@ -1037,7 +1037,7 @@ REFUSED: dict[str, tuple[Callable[[], MapDataModule], str]] = {
     ),
     "dtype-fields": (
         lambda: MapDataModule("a", fields=("start", "goal"), dtype=torch.float32),
-        "dtype: .* and one of map, free, .* among the fields",
+        "dtype: .* expected one of map, free, .* among the fields",
     ),
     "transform": (
         lambda: MapDataModule("a", transform=3),  # type: ignore[arg-type]
