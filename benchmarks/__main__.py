@@ -1,5 +1,5 @@
 """The one door to all benchmarks: python -m benchmarks
-[labels|paths|terrain|making|build|loading|bands] [--quick].
+[labels|paths|graphs|terrain|making|build|first_uses|loading|bands] [--quick].
 """
 
 from __future__ import annotations
@@ -15,9 +15,11 @@ from mapdata.shards import write_output
 TABLES = {
     "labels": "all labels of a map beside naive Python, and how they grow",
     "paths": "A* beside pyastar2d, python-tcod, scipy, scikit-image, networkx, pathfinding",
+    "graphs": "labels beside scipy and igraph, with and without their graphs; A* beside cstar",
     "terrain": "goal fields and A* on terrain beside scikit-image and pyastar2d",
     "making": "making maps beside maze-dataset",
     "build": "a dataset on disk beside the kernels alone; the first build ever; imports",
+    "first_uses": "what the first use of each feature compiles",
     "loading": "batches beside tensors in RAM, TensorDataset, naive h5py, npz, PNG + CSV, "
     "HF datasets, webdataset",
     "bands": "random problems under conditions: how many goals a map gets",

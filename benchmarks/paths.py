@@ -302,9 +302,9 @@ def rows_of(size: int, count: int, few: int, rounds: int) -> list[Row]:
     sized = f"A*, per path, {size} x {size}"
     many = len(own)
     return [
-        row(f"{sized}, single calls", "single", "theirs", "15x", fastest, many),
-        row(f"{sized}, one call, a grid each", "batch", "theirs", "80x", fastest, many),
-        row(f"{sized}, one call, one grid", "one grid", "theirs on one", "80x", fastest, many),
+        row(f"{sized}, single calls", "single", "theirs", "", fastest, many),
+        row(f"{sized}, one call, a grid each", "batch", "theirs", "", fastest, many),
+        row(f"{sized}, one call, one grid", "one grid", "theirs on one", "", fastest, many),
         *(row(f"{sized}, single calls", "few", peer.name, "", peer, len(some)) for peer in others),
     ]
 

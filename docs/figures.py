@@ -14,7 +14,7 @@ import os
 import re
 import sys
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -334,6 +334,15 @@ def presets(columns: int = 7) -> Figure:
     for ax, name in zip(axes, PRESETS, strict=False):
         ax.imshow(picture(name, SHOWN.get(name, (1,))[0]), interpolation="nearest")
         bare(ax, name)
+    return figure
+
+
+def samples(preset: str) -> Figure:
+    """Show six maps of a preset."""
+    figure, axes = new_figure(1, 6, (9.3, 1.7))
+    for index, ax in enumerate(axes):
+        ax.imshow(picture(preset, index), interpolation="nearest")
+        bare(ax, "")
     return figure
 
 
@@ -667,6 +676,7 @@ FIGURES: dict[str, Callable[..., Figure]] = {
     "families": families,
     "presets": presets,
     "movements": movements,
+    **{f"preset-{name}": partial(samples, name) for name in PRESETS},
     "figure-1": figure_1,
     "gallery": gallery,
     "figure-3": figure_3,

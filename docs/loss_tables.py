@@ -25,6 +25,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -112,9 +113,10 @@ def batch_model() -> Any:
 
     Its ``problems`` are the grids, starts and goals of the batch, and are set before each solution.
     """
-    from pyepo.model.opt import optModel
+    model_class: Any = import_module("pyepo.model.opt").optModel
 
-    class BatchModel(optModel):
+    # PyEPO has no types.
+    class BatchModel(model_class):  # type: ignore[misc]
         problems: tuple[Bytes, Ints, Ints]
 
         def _getModel(self) -> tuple[None, range]:  # noqa: N802  (PyEPO's names)

@@ -14,7 +14,8 @@ A set has ``hash`` (`ProblemSet.content_hash`; equal hashes mean equal problems)
 A row has ``set``, ``run`` (an index into ``runs``) and the columns of `mapdata.evaluate`: planner,
 subset ("hard" or "all"), n, the metrics with the ends of their 95 % intervals (``opt``,
 ``opt_low``, ``opt_high``), prepared_ratio, look_ratio, ms and ms_batched; null where there is none.
-The times are processor time, in milliseconds a problem, of the first hundred problems.
+The times are processor time, in milliseconds a problem, of the first hundred problems. A* with
+landmarks also has ms_prepared, the time on a map whose landmarks are placed already.
 ``baseline`` is the planner whose expansions count as 1, mapdata's A* where it is null.
 
 A run has ``command``, ``date``, ``machine``, ``threads`` and ``versions``. Figures of others and

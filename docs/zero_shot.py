@@ -25,7 +25,6 @@ from planner_tables import (
     RULES,
     all_planners,
     measured,
-    own_planner,
     table_of,
     words_of,
     write_pages,
@@ -34,6 +33,7 @@ from planner_tables import (
 
 from mapdata import Movement, ProblemSet
 from mapdata.arrays import Bytes
+from mapdata.cli import own_planner
 from mapdata.formats import read_any
 from mapdata.search import distance_field
 
@@ -111,9 +111,10 @@ def main(arguments: list[str] | None = None) -> None:
     path = options.folder / "planner_results.json"
     results = Results.read(path)
     run = this_run(" ".join(["python docs/zero_shot.py", *words_of(arguments or sys.argv[1:])]))
-    rows = own_planner(options.add) if options.add else all_planners
+    own = own_planner(options.add, "--add") if options.add else None
     ending = "-cut" if options.corner_cutting else ""
     movement = RULES[ending]
+    rows = [own(movement)] if own else all_planners(movement)
     for map_name, grid in grids_of(options.maps).items():
         problems = hard_problems(map_name, grid, movement, options.size, options.hard)
         if problems is None:
@@ -121,7 +122,7 @@ def main(arguments: list[str] | None = None) -> None:
             continue
         name = zero_shot_name(map_name, options.size, ending)
         results.add_set(name, problems)
-        results.add_rows(name, measured(rows(movement), problems), run)
+        results.add_rows(name, measured(rows, problems), run)
         results.write(path)
         print(f"{name}\n\n{table_of(results, name)}\n", flush=True)
     write_pages(results, options.folder)

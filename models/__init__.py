@@ -3,6 +3,7 @@
 - ``path_predictor.py``: a CNN that predicts the moves of shortest paths.
 - ``neural_astar.py``: Neural A* in one file.
 - ``cost_predictor.py``: a CNN that reads the costs of terrain from images, taught by paths.
+- ``costmap.py``: the costs of a robot's map, learnt from a few drives.
 - ``learned_planners.py``: planners that search with the predictions of a network.
 - ``lego/``: a sampler that learns where a roadmap needs its vertices.
 
@@ -34,6 +35,8 @@ if __name__ != "mapdata.models":
 
 if TYPE_CHECKING:
     from .cost_predictor import CostPredictor as CostPredictor
+    from .costmap import Costmap as Costmap
+    from .costmap import fit_costmap as fit_costmap
     from .learned_planners import GuidedSearch as GuidedSearch
     from .learned_planners import LearnedPlanner as LearnedPlanner
     from .learned_planners import planners as planners
@@ -50,6 +53,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "CVAE": "lego.cvae",
     "CostPredictor": "cost_predictor",
+    "Costmap": "costmap",
     "GuidedSearch": "learned_planners",
     "Heatmap": "lego.sampler",
     "LearnedPlanner": "learned_planners",
@@ -59,6 +63,7 @@ _MODULES = {
     "PathPredictor": "path_predictor",
     "Sampler": "lego.sampler",
     "fast_precision": "model",
+    "fit_costmap": "costmap",
     "load_model": "model",
     "planners": "learned_planners",
 }

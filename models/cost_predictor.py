@@ -34,6 +34,10 @@ network reads.
 Paths tell no scale: if all costs are doubled, the shortest paths stay. So the predicted costs of
 each map have the geometric mean 1, and a planner stretches them to the range 1 to 255 of terrain.
 
+Instead of a picture, the network can read any stack of planes per cell, such as the clearance of
+the cell or the class of its ground: ``CostPredictor(planes=2)`` takes two numbers of each cell, on
+maps of any size. `mapdata.models.costmap` fits one to the drives of a robot.
+
 The class can also be taught in two other ways, to compare with: by the true costs, and by the loss
 of Neural A* (neural_astar.py), which wants the search to expand few cells, and so does not pin down
 costs. docs/costs.md has the table.
@@ -108,6 +112,9 @@ class CostPredictor(Model):
         loss: "paths" as above; "terrain" for the squared error of the logarithm of the true costs;
             "expansions" for the loss of Neural A*.
         learning_rate: the highest of the schedule.
+        planes: None for pictures; or how many planes, (B, planes, H, W), the field ``image`` has in
+            place of a picture. Each cell's cost depends on its own numbers alone, and ``pixels``
+            means nothing. The numbers should be of the order of 1.
     """
 
     PRETRAINED: ClassVar[Mapping[str, str]] = {"tiles": "cost_predictor.pt"}
@@ -124,6 +131,7 @@ class CostPredictor(Model):
         parts: int = 8,
         loss: Literal["paths", "terrain", "expansions"] = "paths",
         learning_rate: float = 0.01,
+        planes: int | None = None,
     ) -> None:
         """Make the network."""
         super().__init__()
@@ -136,6 +144,11 @@ class CostPredictor(Model):
         self._check_learning_rate()
         self.movement = Movement(connectivity, corner_cutting, diagonal_cost)
         self.pixels = pixels
+        self.planes = planes
+        if planes is not None:
+            check_count("planes", planes)
+            self.network = network_of_planes(planes, width)
+            return
         # The network sees the pixels of one cell, and not those of its neighbours. What a cell
         # costs depends on nothing else, and a network that saw more would need many more maps to
         # find that out.
@@ -155,8 +168,11 @@ class CostPredictor(Model):
         """Return the logarithm of each cell's cost up to a constant, (B, H, W).
 
         Args:
-            image: (B, 3, pixels * H, pixels * W), 0 to 255.
+            image: (B, 3, pixels * H, pixels * W), 0 to 255; or (B, planes, H, W).
         """
+        if self.planes is not None:
+            of_planes: Tensor = self.network(image.float())[:, 0].float()
+            return of_planes
         batch, channels, height, width = image.shape
         k = self.pixels
         rows, columns = height // k, width // k
@@ -179,7 +195,7 @@ class CostPredictor(Model):
         """Return the cost of each cell, (B, H, W), whose geometric mean over free cells is about 1.
 
         Args:
-            image: (B, 3, pixels * H, pixels * W), 0 to 255.
+            image: (B, 3, pixels * H, pixels * W), 0 to 255; or (B, planes, H, W).
             occupied: (B, 1, H, W), 0 free and anything else occupied.
         """
         log_costs = centred(self.log_costs(image), occupied).clamp(-MAX_LOG_COST, MAX_LOG_COST)
@@ -289,7 +305,8 @@ class CostPredictor(Model):
         `mapdata.search_batch` and `mapdata.astar` search on it with ``terrain=``.
 
         Args:
-            images: (B, 3, pixels * H, pixels * W) numbers from 0 to 255, usually uint8.
+            images: (B, 3, pixels * H, pixels * W) numbers from 0 to 255, usually uint8; or (B,
+                planes, H, W) finite numbers.
             grids: (B, H, W), 0 free and 1 occupied.
 
         Raises:
@@ -301,18 +318,40 @@ class CostPredictor(Model):
         image, occupied = self.tensors(pixels, np.not_equal(grids, 0)[:, None])
         rows, columns = occupied.shape[2:]
         expected = (len(occupied), 3, self.pixels * rows, self.pixels * columns)
+        if self.planes is not None:
+            expected = (len(occupied), self.planes, rows, columns)
         if image.shape != expected:
             raise ValueError(f"images: got shape {tuple(image.shape)}, expected {expected}")
         if image.is_complex():
             raise ValueError(f"images: got {image.dtype}, expected numbers from 0 to 255")
-        is_colour = (image >= 0) & (image <= 255)  # false for NaN
-        if not is_colour.all():
-            number = image[~is_colour][0].item()
-            raise ValueError(f"images: got the value {number}, expected numbers from 0 to 255")
+        numbers = "numbers from 0 to 255" if self.planes is None else "finite numbers"
+        is_legal = (image >= 0) & (image <= 255) if self.planes is None else image.isfinite()
+        if not is_legal.all():  # NaN is not legal
+            number = image[~is_legal][0].item()
+            raise ValueError(f"images: got the value {number}, expected {numbers}")
         # In 32 bits: costs of bfloat16, which has 8 bits, would be too coarse.
         with torch.inference_mode():
             costs = self(image, occupied)
         return terrain_from_costs(costs.cpu().numpy(), occupied[:, 0].byte().cpu().numpy())
+
+
+def network_of_planes(planes: int, width: int) -> nn.Sequential:
+    """Return a network from planes (B, planes, H, W) of the order of 1 to costs (B, 1, H, W).
+
+    It looks at each cell alone. The bends of its first layer are spread over the range of the
+    planes, so that it can follow a curve from the first step on.
+    """
+    first = nn.Conv2d(planes, width, 1)
+    nn.init.normal_(first.weight, std=2.0)
+    assert first.bias is not None
+    nn.init.uniform_(first.bias, -2.0, 2.0)
+    return nn.Sequential(
+        first,
+        nn.ReLU(),
+        nn.Conv2d(width, width, 1),
+        nn.ReLU(),
+        nn.Conv2d(width, 1, 1),
+    )
 
 
 def centred(log_costs: Tensor, occupied: Tensor) -> Tensor:

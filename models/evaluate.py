@@ -38,9 +38,15 @@ from typing import TYPE_CHECKING, Literal
 from matplotlib.figure import Figure
 
 from mapdata import PRESETS, evaluation
-from mapdata.cli import check_outputs, load_problems, run_parsed, write_table
+from mapdata.cli import (
+    check_outputs,
+    compare_planners,
+    load_problems,
+    run_parsed,
+    write_table,
+)
 from mapdata.movement import Movement
-from mapdata.plotting import plot_planners, write_figure
+from mapdata.plotting import write_figure
 
 from .command_line import run_named_command
 from .learned_planners import planners
@@ -126,15 +132,7 @@ def evaluate_planners(
         rows += planners(model)
     elif model is not None:
         rows.append(model)
-    table = evaluation.evaluate(rows, problems, baseline=baseline, progress=True)
-    print(f"{problems.description}; {problems.movement}; set {problems.content_hash[:12]}\n")
-    print(evaluation.to_text(table))
-    write_table(table, csv, json)
-    if figure is not None:
-        canvas = Figure(figsize=(7, 6), layout="constrained")
-        subset = "hard" if problems.hard.any() else "all"
-        plot_planners(table, canvas.add_subplot(), subset=subset)
-        write_figure(canvas, figure)
+    compare_planners(rows, problems, baseline=baseline, csv=csv, json=json, figure=figure)
 
 
 def load_weights(file: str) -> PathPredictor | NeuralAstar:

@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import os
 
+import pytest
+from helpers.examples import ARE_ALL
 from hypothesis import HealthCheck, settings
 
 # Read when torch and BLAS are first imported: many threads on few cores make tiny networks a
@@ -19,6 +21,16 @@ settings.register_profile(
     derandomize=True,
     deadline=None,
     database=None,
+    max_examples=100 if ARE_ALL else 20,
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("mapdata")
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest chooses the tests by their marks
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark property tests as slow where they try all examples."""
+    for item in items:
+        function = getattr(item, "obj", None)
+        if ARE_ALL and getattr(function, "is_hypothesis_test", False):
+            item.add_marker("slow")

@@ -11,14 +11,15 @@ from typing import SupportsInt
 import numpy as np
 import pytest
 from helpers import reference
-from hypothesis import given, settings
+from helpers.examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
 from mapdata import rng
 
 WORD = 2**32 - 1
-SETTINGS = settings(max_examples=300)
+SETTINGS = examples(300)
 words = st.integers(0, WORD)
 
 

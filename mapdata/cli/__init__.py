@@ -2,14 +2,17 @@
 
 from mapdata.cli.app import build_main, main
 from mapdata.cli.common import complain, run_parsed
+from mapdata.cli.evaluate import compare_planners, own_planner
 from mapdata.cli.problems import check_outputs, load_problems, write_table
 
 __all__ = [
     "build_main",
     "check_outputs",
+    "compare_planners",
     "complain",
     "load_problems",
     "main",
+    "own_planner",
     "run_parsed",
     "write_table",
 ]

@@ -17,7 +17,7 @@ from typing import Literal
 from zipfile import is_zipfile
 
 from mapdata._version import __version__
-from mapdata.cli import convert, export
+from mapdata.cli import convert, evaluate, export
 from mapdata.cli.common import (
     Command,
     DisagreeError,
@@ -62,8 +62,7 @@ def build_command(
         root: folder of the dataset
         maps: number of maps (default: that of the recipe, or 10000)
         seed: 64-bit seed of the maps (default: that of the recipe, or 0)
-        preset: paper, narrow, dungeon, dungeon128, maze, maze15, maze30, cave, forest, noise,
-            noise30, terrain or tiles (default: paper); 'mapdata list' describes them
+        preset: {presets} (default: paper); 'mapdata list' describes them
         map_size: rows and columns of a map (default: those of the preset)
         recipe: file that 'mapdata info ROOT --recipe' wrote, JSON text of a recipe, or a preset's
             name
@@ -439,6 +438,7 @@ VERBS: dict[str, Command] = {
     "import": convert.import_command,
     "export": export.export_command,
     "check-scen": convert.check_scen_command,
+    "evaluate": evaluate.evaluate_command,
 }
 
 FORMAT_FLAGS = {"import": convert.add_import_flags, "export": export.add_export_flags}

@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, TextIO, get_args, get_origin
 
 from mapdata.interrupts import EXIT_CODE, STOPPED, THREADS, leave, stoppable
@@ -308,6 +309,11 @@ def add_flag(
     else:
         settings = {"type": annotation, "metavar": upper_name}
     text = option.help.removesuffix(".").replace("%", "%%")
+    if "{presets}" in text:
+        from mapdata.generators import PRESETS
+
+        *first, last = PRESETS
+        text = text.replace("{presets}", f"{', '.join(first)} or {last}")
     if option.default is not None and option.default is not False:
         text += f" (default: {option.default})"
     parser.add_argument(*flags, dest=name, default=default, help=text, **settings)
@@ -326,8 +332,10 @@ def add_import_flag(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def import_named(name: str) -> None:
-    """Import a module, which may lie in the working folder.
+def import_named(name: str, flag: str = "--import") -> ModuleType:
+    """Import a module, which may lie in the working folder, and return it.
+
+    ``flag`` is the flag that named it, for messages.
 
     Raises:
         ValueError: there is no module of this name, or it raised an error.
@@ -337,24 +345,24 @@ def import_named(name: str) -> None:
     is_name = all(part.isidentifier() for part in name.split("."))
     if not is_name or name.endswith(".py"):
         stem = os.path.basename(name).removesuffix(".py")
-        hint = f", as in --import {stem}" if stem.isidentifier() else ""
-        raise ValueError(f"--import: got {name!r}, expected the name of a module{hint}")
+        hint = f", as in {flag} {stem}" if stem.isidentifier() else ""
+        raise ValueError(f"{flag}: got {name!r}, expected the name of a module{hint}")
     folder = os.getcwd()
     if folder not in sys.path:
         sys.path.insert(0, folder)
     try:
-        importlib.import_module(name)
+        return importlib.import_module(name)
     except ModuleNotFoundError as error:
         # The missing module may also be another one, which the module imports.
         is_named_module = error.name is not None and f"{name}.".startswith(f"{error.name}.")
         if not is_named_module:
-            raise ValueError(f"--import: {name}: {type(error).__name__}: {error}") from error
+            raise ValueError(f"{flag}: {name}: {type(error).__name__}: {error}") from error
         raise ValueError(
-            f"--import: there is no module {name!r}, neither in the working folder {folder} nor "
+            f"{flag}: there is no module {name!r}, neither in the working folder {folder} nor "
             "among the installed packages"
         ) from error
     except (Exception, SystemExit) as error:  # the code of a user may raise anything
-        raise ValueError(f"--import: {name}: {type(error).__name__}: {error}") from error
+        raise ValueError(f"{flag}: {name}: {type(error).__name__}: {error}") from error
 
 
 def path_name(text: str) -> str:

@@ -145,7 +145,7 @@ def evaluate(
             each planner with `plan_batch`.
 
     Raises:
-        TypeError: ``problems`` are no `ProblemSet`.
+        TypeError: ``problems`` are no `ProblemSet`; the answer of a planner is no `Plan`.
         ValueError: no planner, two of one name, none of the name ``baseline``, no problem, no
             resample, or a ``plan_batch`` with too few plans.
         Exception: whatever a planner raises.
@@ -367,6 +367,7 @@ def _run(planner: Planner, problems: ProblemSet, advance: Advance) -> _Run:
         began = time.process_time()
         plan = planner.plan(grid, start, goal, **arguments)
         ms[k] = 1000 * (time.process_time() - began)
+        _check_plan(planner, plan)
         costs[k] = _cost(plan.path, problems, k)
         expansions[k] = plan.expansions
         prepared[k] = plan.prepared
@@ -377,6 +378,19 @@ def _run(planner: Planner, problems: ProblemSet, advance: Advance) -> _Run:
     if isinstance(planner, BatchPlanner):
         ms_batched = _batched_ms(planner, problems, advance)
     return _Run(costs, expansions, prepared, looks, ms, ms_batched)
+
+
+def _check_plan(planner: Planner, plan: object) -> None:
+    """Check that a planner answered with a `Plan`, or with an object that has its fields.
+
+    Raises:
+        TypeError: it did not.
+    """
+    if not all(hasattr(plan, name) for name in Plan._fields):
+        raise TypeError(
+            f"{planner.name}: plan returned {type(plan).__name__}, expected a mapdata.Plan(path, "
+            "expansions)"
+        )
 
 
 def _outcomes(run: _Run, problems: ProblemSet, reference_expansions: Floats | Ints) -> Floats:

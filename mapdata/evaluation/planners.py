@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mapdata.arrays import Bytes, Ints
+from mapdata.checks import check_count
 from mapdata.evaluation.metrics import BatchPlanner, Plan, Planner
 from mapdata.limits import Cell
 from mapdata.movement import NEURAL_ASTAR, STEPS, Movement
@@ -22,6 +23,7 @@ from mapdata.search.api import (
     solve_batch,
     solve_by_goal_fields,
     solve_by_jump_points,
+    solve_by_landmarks,
 )
 from mapdata.search.terrain import min_cell_costs
 
@@ -38,14 +40,14 @@ def classical(movement: Movement = Movement(8), *, terrain: bool = False) -> lis
 
     Args:
         movement: the rule of moves.
-        terrain: whether the problems have terrain. Then jump point search and the A* of Neural A*
-            are left out, since they do not take terrain, and "A* on mean cost" is added. It plans
-            as if all free cells cost the same.
+        terrain: whether the problems have terrain. Then jump point search, A* with landmarks and
+            the A* of Neural A* are left out, since they do not take terrain, and "A* on mean cost"
+            is added. It plans as if all free cells cost the same.
 
     >>> [planner.name for planner in classical()]  # doctest: +NORMALIZE_WHITESPACE
     ['BFS', 'Dijkstra', 'A*', 'weighted A* (1.1)', 'weighted A* (1.25)', 'weighted A* (1.5)',
      'weighted A* (2)', 'weighted A* (3)', 'greedy best-first', 'jump point search',
-     'A* with the exact goal field', 'limit']
+     'A* with 8 landmarks', 'A* with the exact goal field', 'limit']
     """
     planners: list[Planner] = [
         Search("BFS", movement, "bfs"),
@@ -56,6 +58,8 @@ def classical(movement: Movement = Movement(8), *, terrain: bool = False) -> lis
     ]
     if movement.connectivity == 8 and not terrain:
         planners.append(JumpPointSearch("jump point search", movement))
+    if not terrain:
+        planners.append(LandmarkAstar("A* with 8 landmarks", movement))
     planners.append(GoalFieldAstar("A* with the exact goal field", movement))
     planners.append(Limit("limit", movement))
     if terrain:
@@ -154,6 +158,54 @@ class JumpPointSearch(Batched):
             plan._replace(looks=look_count)
             for plan, look_count in zip(_plans(paths), looks.tolist(), strict=True)
         ]
+
+
+@dataclass(frozen=True)
+class LandmarkAstar(Batched):
+    """A* whose heuristic knows the exact costs from a few cells of the map, the landmarks.
+
+    Its paths are optimal. Landmarks are chosen from the map alone, so one preparation serves all
+    problems of a map: `plan_batch` prepares each grid of (B, H, W), but prepares a single grid
+    (H, W), which all problems share, only once. Its prepared cells are those that the floods visit,
+    all floods together: one that finds the largest component, one that finds its farthest cell, and
+    one from each landmark.
+
+    Source: Goldberg and Harrelson, SODA 2005, "ALT" with farthest landmarks, without its lower
+    bounds in two directions; costs here are the same in both directions.
+
+    Attributes:
+        name: its name in the table.
+        movement: the rule of moves.
+        landmarks: the largest number of landmarks on a map, at least 1.
+    """
+
+    name: str
+    movement: Movement
+    landmarks: int = 8
+
+    def __post_init__(self) -> None:
+        """Check the number of landmarks.
+
+        Raises:
+            ValueError: it is no integer, or below 1.
+        """
+        check_count("landmarks", self.landmarks)
+
+    def plan_batch(
+        self, grids: Bytes, starts: Ints, goals: Ints, terrain: Bytes | None = None
+    ) -> list[Plan]:
+        """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2).
+
+        Raises:
+            ValueError: there is terrain; what `search_batch` refuses.
+        """
+        if terrain is not None:
+            raise ValueError(
+                f"{self.name}: got terrain, but its landmarks know costs of free cells that all "
+                "cost the same; leave it out, as classical(movement, terrain=True) does"
+            )
+        paths, prepared = solve_by_landmarks(grids, starts, goals, self.movement, self.landmarks)
+        return _with_prepared(_plans(paths), prepared)
 
 
 @dataclass(frozen=True)

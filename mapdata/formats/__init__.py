@@ -34,6 +34,7 @@ from mapdata.formats.registry import (
     recognise,
     register,
 )
+from mapdata.formats.ros import RosMap
 from mapdata.npy import FormatError
 
 # The order matters: if several formats recognise a file, it belongs to the last of them. The first
@@ -60,6 +61,7 @@ __all__ = [
     "Format",
     "FormatError",
     "Limits",
+    "RosMap",
     "check_answer",
     "export",
     "import_maps",

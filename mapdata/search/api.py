@@ -25,6 +25,7 @@ from mapdata.search.kernels import (
     first_bad_cell,
     plain_scratch_bytes,
 )
+from mapdata.search.landmarks import solve_with_landmarks
 from mapdata.search.lattice import (
     ASTAR,
     BFS,
@@ -327,6 +328,30 @@ def solve_by_goal_fields(
     _check_all_solved(solved, grid_stack, start_cells, goal_cells)
     paths = _as_batch_result(solved, terrains, movement)
     return paths._replace(iterations=np.diff(solved.offsets)), solved.expansions
+
+
+def solve_by_landmarks(
+    grids: ArrayLike, starts: ArrayLike, goals: ArrayLike, movement: Movement, landmarks: int
+) -> tuple[BatchResult, Ints]:
+    """Solve B problems by A* with landmarks (`mapdata.search.landmarks`).
+
+    The arguments are those of `search_batch`, and the largest number of landmarks on a map.
+
+    Returns:
+        The paths; and the numbers of cells, (B,), that floods visited to place the landmarks of
+        each problem. On one map (H, W) that all problems share, landmarks are placed once, for the
+        first problem.
+
+    Raises:
+        ValueError: what `search_batch` refuses; a path that is too long for exact costs.
+    """
+    rule = move_rule(movement)
+    grid_stack, start_cells, goal_cells = _as_problems(grids, starts, goals)
+    solved, prepared = solve_with_landmarks(
+        grid_stack, start_cells, goal_cells, landmarks, rule, _scratch_memory(grid_stack, rule)
+    )
+    _check_all_solved(solved, grid_stack, start_cells, goal_cells)
+    return _as_batch_result(solved, None, movement), prepared
 
 
 def _as_problems(grids: ArrayLike, starts: ArrayLike, goals: ArrayLike) -> tuple[Bytes, Ints, Ints]:

@@ -186,6 +186,12 @@ def pairs_of(rooms: int) -> tuple[Ints, Ints]:
     return np.triu_indices(rooms, 1)
 
 
+LONG_PATHS = 1.5
+"""Where paths have more moves in the mean than so many times the longer side, as in mazes, BFS runs
+by a queue and not by bits. A step by bits looks at all rows of a map, however few cells it reaches.
+"""
+
+
 class _MapBatch(NamedTuple):
     """The maps that kernels label in one call, and the memory that they use.
 
@@ -284,7 +290,9 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
         astar_moves.append(moves)
         # No path has fewer moves than that of BFS, so there is room for those of BFS.
         moves = np.empty(len(moves), np.uint8)
-        if not has_diagonals and max(size) <= MAX_BITBOARD_SIDE:
+        path_count = int((batch.rooms - 1).sum())
+        has_long_paths = len(moves) > LONG_PATHS * max(size) * path_count
+        if not (has_diagonals or has_long_paths) and max(size) <= MAX_BITBOARD_SIDE:
             used = bfs_labels_by_bits(
                 packed,
                 maps.columns,

@@ -243,9 +243,11 @@ def test_every_table_has_its_module() -> None:
 TITLES = {
     "labels": "Labels on one core",
     "paths": "Paths",
+    "graphs": "Beside graph libraries and planners in C++",
     "terrain": "Terrain",
     "making": "Making maps",
     "build": "Building a dataset",
+    "first_uses": "First uses",
     "loading": "Loading",
     "bands": "Goals a map gets, under conditions",
 }

@@ -675,7 +675,9 @@ def test_a_flag_before_the_verb_is_refused(run: Command) -> None:
 def test_a_similar_verb_is_proposed_for_a_misspelt_verb(run: Command) -> None:
     """If none is similar, all verbs are listed."""
     run.refused(2, "unknown verb 'biuld'; did you mean build?", "biuld", "data/maps")
-    run.refused(2, r"unknown verb 'xyzzy'; known are list, build, .*, check-scen \(", "xyzzy")
+    run.refused(
+        2, r"unknown verb 'xyzzy'; known are list, build, .*, check-scen, evaluate \(", "xyzzy"
+    )
 
 
 # --- recipes ------------------------------------------------------------------------------------

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.examples import examples
 from helpers.wild import SETTINGS
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -152,7 +153,7 @@ def attempt(read: Callable[[], object]) -> None:
 
 
 @pytest.mark.parametrize("file_format", sorted(seed_points()))
-@settings(SETTINGS, max_examples=120)
+@examples(120, SETTINGS)
 @given(CHANGES)
 def test_a_changed_file_is_read_or_refused(
     file_format: str, changes: list[tuple[int, str, bytes]]

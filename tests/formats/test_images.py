@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from helpers.examples import examples
 from helpers.wild import SETTINGS, Bytes, cli, npy, npz, png
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image, ImageOps
@@ -141,7 +142,7 @@ def test_resize_and_crop(tmp_path: Path) -> None:
     assert collection.left_out[0][1] == "has 6 x 8 cells, too small to crop 7 x 4"
 
 
-@settings(SETTINGS, max_examples=60)
+@examples(60, SETTINGS)
 @given(
     arrays.arrays(
         np.uint8, st.tuples(st.integers(1, 7), st.integers(1, 7)), elements=st.integers(0, 1)

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.examples import examples
 from helpers.specs import specs
 from helpers.wild import SETTINGS, cli, png
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -46,7 +47,7 @@ def release(root: Path, tmp_path: Path) -> Path:
     return tmp_path / "release"
 
 
-@settings(SETTINGS, max_examples=12)
+@examples(12, SETTINGS)
 @given(specs(), st.integers(0, 2**64 - 1), st.integers(1, 4))
 def test_round_trip(generator: MapSpec, seed: int, count: int) -> None:
     """For any generator the content hash comes back, so all labels do, and no label disagrees."""

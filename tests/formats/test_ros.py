@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from helpers.examples import examples
 from helpers.wild import SETTINGS, Bytes, cli, png
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image
@@ -108,7 +109,7 @@ def slow(
     return -1 if mode == "trinary" else round((occupied - low) / (high - low) * 100)
 
 
-@settings(SETTINGS, max_examples=150)
+@examples(150, SETTINGS)
 @given(
     arrays.arrays(np.uint8, st.tuples(st.just(2), st.integers(1, 5), st.sampled_from([1, 3, 4]))),
     st.sampled_from(["trinary", "scale", "raw"]),
@@ -665,7 +666,7 @@ def slowly_resampled(grid: Bytes, factor: Fraction, rule: str) -> list[list[int]
     return found
 
 
-@settings(SETTINGS, max_examples=100)
+@examples(100, SETTINGS)
 @given(
     arrays.arrays(
         np.uint8, st.tuples(st.integers(1, 7), st.integers(1, 7)), elements=st.integers(0, 1)

@@ -6,15 +6,16 @@ import re
 
 import numpy as np
 import pytest
+from helpers.examples import examples
 from helpers.reference_families import reference_cave, reference_points
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
 from mapdata import Cave, generate
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(
     st.tuples(st.integers(1, 20), st.integers(1, 20)),
     st.sampled_from([0.0, 0.3, 0.45, 0.6, 1.0]),

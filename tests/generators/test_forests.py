@@ -6,8 +6,9 @@ import re
 
 import numpy as np
 import pytest
+from helpers.examples import examples
 from helpers.reference_families import reference_forest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mapdata import Forest, MapGenerator, generate
@@ -22,7 +23,7 @@ def forests(draw: st.DrawFn) -> Forest:
     return Forest(size, (cover[0], cover[1]), (sizes[0], sizes[1]))
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(forests(), st.integers(0, 2**64 - 1), st.integers(0, 2**63 - 1))
 def test_any_forest_equals_the_reference(generator: Forest, seed: int, index: int) -> None:
     """For all sizes, densities and obstacles; the seed points are free."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from hypothesis import given, settings
+from helpers.examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
@@ -13,7 +14,7 @@ from mapdata import Maps, Movement
 from mapdata.arrays import Bytes
 from mapdata.generators import pack
 
-SETTINGS = settings(max_examples=100)
+SETTINGS = examples(100)
 
 
 @SETTINGS

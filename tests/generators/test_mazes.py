@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from helpers.examples import examples
 from helpers.reference import reference_split
 from helpers.reference_families import reference_maze, reference_points
 from helpers.samples import ALL_FIELDS, assert_same
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
@@ -34,7 +35,7 @@ from mapdata.cli import main
 from mapdata.generators import Recipe, as_recipe
 from mapdata.shards import read_manifest
 
-SETTINGS = settings(max_examples=150)
+SETTINGS = examples(150)
 SPEC = Maze(map_size=(20, 31), corridor=2, reopened=0.1, seed_points=4, splits=(0.5, 0.25, 0.25))
 
 

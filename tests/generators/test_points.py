@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 from helpers import reference
-from hypothesis import given, settings
+from helpers.examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy import ndimage
@@ -15,7 +16,7 @@ from mapdata.arrays import Bytes
 from mapdata.generators import draw_points, largest_component
 from mapdata.generators.points import count_components
 
-SETTINGS = settings(max_examples=100)
+SETTINGS = examples(100)
 GRIDS = arrays.arrays(
     np.uint8, st.tuples(st.integers(1, 12), st.integers(1, 12)), elements=st.integers(0, 1)
 )

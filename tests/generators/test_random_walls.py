@@ -6,8 +6,9 @@ import re
 
 import numpy as np
 import pytest
+from helpers.examples import examples
 from helpers.reference_families import reference_random_walls
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -22,7 +23,7 @@ def random_walls(draw: st.DrawFn) -> RandomWalls:
     return RandomWalls(size, (occupied[0], occupied[1]))
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(random_walls(), st.integers(0, 2**64 - 1), st.integers(0, 2**63 - 1))
 def test_any_random_walls_equal_the_reference(
     generator: RandomWalls, seed: int, index: int

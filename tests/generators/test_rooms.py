@@ -8,9 +8,10 @@ from dataclasses import fields
 import numpy as np
 import numpy.typing as npt
 import pytest
+from helpers.examples import examples
 from helpers.reference import block, reference_map
 from helpers.specs import specs
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -18,7 +19,7 @@ from mapdata import Maps, MapSpec, generate
 from mapdata.generators import rooms as rooms_generator
 from mapdata.movement import Movement
 
-SETTINGS = settings(max_examples=300)
+SETTINGS = examples(300)
 PRESETS = sorted(rooms_generator.PRESETS)
 UNCOUNTED = ("movement", "columns", "terrain")  # not arrays of N maps; rooms have no terrain
 FIELDS = [field.name for field in fields(Maps) if field.name not in UNCOUNTED]

@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.examples import examples
 from helpers.specs import MOVEMENTS, specs
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mapdata import MapSpec, identity
@@ -21,7 +22,7 @@ from mapdata.checks import items_of, plain_values
 from mapdata.limits import MAX_ROOMS, MAX_SIDE
 from mapdata.movement import Movement
 
-SETTINGS = settings(max_examples=200)
+SETTINGS = examples(200)
 
 
 # --- defaults and presets -----------------------------------------------------------------------

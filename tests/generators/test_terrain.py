@@ -9,10 +9,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from helpers.examples import examples
 from helpers.families import forget
 from helpers.pages import DOCS
 from helpers.reference_families import reference_terrain
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
@@ -39,7 +40,7 @@ def levels(draw: st.DrawFn) -> dict[str, Any]:
     return {"costs": tuple(costs), "shares": shares}
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(
     SIZES,
     levels(),
@@ -78,7 +79,7 @@ def test_any_terrain_equals_the_reference(
         assert len(points) == min(3, (components == largest).sum())
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(st.sampled_from([MapSpec(), Maze(), Cave()]), SIZES, levels(), SEEDS, INDICES)
 def test_terrain_over_another_family_equals_the_reference(
     over: MapGenerator, size: tuple[int, int], parameters: dict[str, Any], seed: int, index: int
@@ -103,7 +104,7 @@ def test_terrain_over_another_family_equals_the_reference(
             assert np.array_equal(getattr(maps, name), getattr(expected, name)), name
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(
     st.tuples(st.integers(2, 40), st.integers(2, 40)),
     st.lists(st.integers(1, 9), min_size=1, max_size=6),
@@ -127,7 +128,7 @@ def test_each_map_has_the_stated_shares(
             assert abs(cells_up_to_level - free_cells * sum(shares[: level + 1])) <= 0.5 + 1e-3
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(st.lists(INDICES, min_size=1, max_size=5), SEEDS, st.booleans())
 def test_a_map_depends_on_its_seed_and_number_alone(
     indices: list[int], seed: int, corners: bool

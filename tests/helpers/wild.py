@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
+from helpers.examples import examples
 from mapdata.cli import main
 
-SETTINGS = settings(max_examples=40)
+SETTINGS = examples(40)
 Bytes = npt.NDArray[np.uint8]
 
 GRIDS = arrays.arrays(

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import reference
+from helpers.examples import examples
 from helpers.specs import movements
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mapdata import Movement, Random, astar
@@ -97,7 +98,7 @@ def assert_equals_the_reference(
 
 
 @movements
-@settings(max_examples=25)
+@examples(25)
 @given(
     seed=st.integers(0, 2**32 - 1),
     shape=st.sampled_from([(1, 1), (1, 9), (5, 4), (7, 8)]),
@@ -111,7 +112,7 @@ def test_problems_on_terrain_are_those_of_the_reference(
 
 
 @movements
-@settings(max_examples=15)
+@examples(15)
 @given(seed=st.integers(0, 2**32 - 1), conditions=st.sampled_from(CONDITIONS))
 def test_problems_on_terrain_with_fixed_goals_are_those_of_the_reference(
     movement: Movement, seed: int, conditions: Random

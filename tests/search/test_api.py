@@ -15,10 +15,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from helpers import reference
+from helpers.examples import examples
 from helpers.grids import scipy_distances, serpentine
 from helpers.reference import Cell, Pair
 from helpers.specs import movements
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mapdata import SearchResult, astar, bfs, check_path, distance_field, terrain_from_costs
@@ -110,7 +111,7 @@ def assert_same(solution: SearchResult, expected: reference.ReferenceResult) -> 
 
 @planners
 @movements
-@settings(max_examples=400)
+@examples(400)
 @given(problem=problems())
 def test_search_equals_the_reference(
     search: Planner, truth: Truth, movement: Movement, problem: Problem
@@ -141,7 +142,7 @@ def test_search_equals_the_reference_far_away(
 
 
 @movements
-@settings(max_examples=200)
+@examples(200)
 @given(problem=problems())
 def test_distance_field_equals_the_reference(movement: Movement, problem: Problem) -> None:
     """Every cell holds its exact cost, rounded to float32 once; -1 where the goal cannot be
@@ -154,7 +155,7 @@ def test_distance_field_equals_the_reference(movement: Movement, problem: Proble
 
 
 @movements
-@settings(max_examples=200)
+@examples(200)
 @given(problem=problems())
 def test_costs_equal_scipys_dijkstra(movement: Movement, problem: Problem) -> None:
     """A*'s cost, the distance field, and (on hops) the BFS cost are the shortest there are."""
@@ -169,7 +170,7 @@ def test_costs_equal_scipys_dijkstra(movement: Movement, problem: Problem) -> No
 pairs = st.tuples(st.integers(0, 2**21), st.integers(0, 2**21))
 
 
-@settings(max_examples=500)
+@examples(500)
 @given(first=pairs, second=pairs)
 def test_the_reference_orders_costs_exactly(first: Pair, second: Pair) -> None:
     """Its integers order a + b sqrt 2 and c + d sqrt 2 as the squares of a - c and (d - b) sqrt 2,
@@ -387,7 +388,7 @@ def test_scratch_memory_holds_the_most_that_a_search_can_push(
 
 
 @movements
-@settings(max_examples=200)
+@examples(200)
 @given(problem=problems())
 def test_check_path_accepts_found_paths(movement: Movement, problem: Problem) -> None:
     """What BFS and A* find is a path, and its cost is theirs (BFS's own count where all moves cost
@@ -407,7 +408,7 @@ def test_check_path_accepts_found_paths(movement: Movement, problem: Problem) ->
 
 
 @movements
-@settings(max_examples=300)
+@examples(300)
 @given(problem=problems(), source=st.randoms(use_true_random=False))
 def test_check_path_agrees_with_the_reference(
     movement: Movement, problem: Problem, source: Random

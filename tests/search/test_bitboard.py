@@ -11,10 +11,11 @@ from random import Random
 import numpy as np
 import pytest
 from helpers import reference
+from helpers.examples import examples
 from helpers.grids import serpentine
 from helpers.reference import Cell
 from helpers.specs import MOVEMENTS, SIDES, movements
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mapdata import MapSpec, Movement, generate, label
@@ -99,7 +100,7 @@ def test_rows_of_several_words(shape: tuple[int, int], movement: Movement) -> No
         assert_moves_are_the_references(grid, goal, movement)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(
     shape=st.tuples(st.integers(1, 7), SIDES | st.sampled_from([127, 128, 200])),
     turned=st.booleans(),
@@ -133,7 +134,7 @@ def test_long_corridors(shape: tuple[int, int], movement: Movement) -> None:
     assert_moves_are_the_references(grid, goal, movement)
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(
     shape=st.tuples(st.integers(1, 7), SIDES | st.sampled_from([127, 128, 200])),
     turned=st.booleans(),

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from helpers.examples import examples
 from helpers.grids import squared_half_cells
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy import ndimage
@@ -26,7 +27,7 @@ GRIDS = arrays.arrays(np.uint8, arrays.array_shapes(min_dims=2, max_dims=2, max_
 )
 
 
-@settings(max_examples=200)
+@examples(200)
 @given(GRIDS)
 def test_clearance_equals_brute_force(grid: Grid) -> None:
     """On any map, to the last bit of a float32."""
@@ -50,7 +51,7 @@ def test_clearance_agrees_with_scipy(name: str) -> None:
         assert (clearance(grid)[grid == 1] == 0).all()
 
 
-@settings(max_examples=200)
+@examples(200)
 @given(GRIDS, st.fractions(0, 6, max_denominator=20))
 def test_a_disc_may_touch_and_not_overlap(grid: Grid, radius: Fraction) -> None:
     """Compared exactly, as fractions: occupied where the squared clearance is below (2 r)^2."""

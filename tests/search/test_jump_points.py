@@ -13,16 +13,22 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from helpers import reference
+from helpers.examples import examples
 from helpers.grids import serpentine
 from helpers.reference import Cell
 from helpers.specs import MOVEMENTS
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mapdata import PRESETS, MapGenerator, Maze, Movement, astar, check_path, generate, search_batch
 from mapdata.arrays import Bytes, Ints
 from mapdata.generators.maps import Maps
-from mapdata.search.api import solve_by_goal_fields, solve_by_jump_points
+from mapdata.search.api import (
+    BatchResult,
+    solve_by_goal_fields,
+    solve_by_jump_points,
+    solve_by_landmarks,
+)
 from mapdata.search.jump_points import find_free_neighbours, jump_costs
 from mapdata.search.kernels import plain_new_scratch
 from mapdata.search.lattice import (
@@ -49,6 +55,15 @@ class Problem(NamedTuple):
     start: Cell
     goal: Cell
 
+
+def solve_by_three_landmarks(
+    grids: Bytes, starts: Ints, goals: Ints, movement: Movement
+) -> tuple[BatchResult, Ints]:
+    """Solve problems by A* with three landmarks, with the arguments of the other solvers."""
+    return solve_by_landmarks(grids, starts, goals, movement, 3)
+
+
+SOLVERS = (solve_by_jump_points, solve_by_goal_fields, solve_by_three_landmarks)
 
 SHAPES = [(1, 1), (1, 30), (30, 1), (2, 2), (2, 9), (5, 8), (12, 12), (16, 9), (3, 64), (20, 20)]
 
@@ -266,7 +281,7 @@ def assert_problem_is_solved(problem: Problem, movement: Movement) -> None:
 
 
 @eight_moves
-@settings(max_examples=150)
+@examples(150)
 @given(problem=problems())
 def test_costs_equal_those_of_astar(movement: Movement, problem: Problem) -> None:
     """The paths are full and legal, too."""
@@ -274,13 +289,13 @@ def test_costs_equal_those_of_astar(movement: Movement, problem: Problem) -> Non
 
 
 @eight_moves
-@settings(max_examples=15)
+@examples(15)
 @given(problem=problems())
 def test_costs_equal_those_of_the_slow_reference(movement: Movement, problem: Problem) -> None:
     """Which knows nothing of the package."""
     grid, start, goal = problem
     expected = reference.reference_astar(grid.tolist(), start, goal, movement)
-    for solve in (solve_by_jump_points, solve_by_goal_fields):
+    for solve in SOLVERS:
         paths, _ = solve(grid[None], np.array([start]), np.array([goal]), movement)
         assert paths.cost.tolist() == [expected.cost]
 
@@ -357,7 +372,7 @@ def test_bad_problems_are_refused_by_number() -> None:
     grids = np.zeros((2, 3, 3), np.uint8)
     grids[1, 1, 1] = 1
     starts = np.array([[0, 0], [0, 0]])
-    for solve in (solve_by_jump_points, solve_by_goal_fields):
+    for solve in SOLVERS:
         with pytest.raises(ValueError, match=r"problem 1: goal: \(1, 1\) is on an occupied cell"):
             solve(grids, starts, np.array([[1, 1], [1, 1]]), Movement(8))
         with pytest.raises(ValueError, match=r"problem 0: goal: \(3, 1\) is outside"):
@@ -416,7 +431,7 @@ def costs_by_jumps(problem: Problem, movement: Movement, max_cost: int) -> dict[
 
 @eight_moves
 @given(problem=problems())
-@settings(max_examples=12)
+@examples(12)
 def test_costs_of_all_cells_equal_those_of_a_slow_search(
     movement: Movement, problem: Problem
 ) -> None:

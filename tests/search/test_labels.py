@@ -4,6 +4,7 @@ movements.
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 
@@ -16,6 +17,7 @@ from scipy import ndimage
 
 from mapdata import Labels, Maps, MapSpec, generate, label
 from mapdata.movement import Movement
+from mapdata.search import labels as labels_module
 from mapdata.search.ground import as_ground, load_map
 from mapdata.search.kernels import new_scratch
 from mapdata.search.labels import _fill_costs
@@ -278,3 +280,15 @@ def test_the_papers_shares() -> None:
     labels = label(generate(MapSpec(), 0, range(5000)))
     assert labels.reachable.mean() == pytest.approx(0.99, abs=0.006)
     assert labels.all_connected.mean() == pytest.approx(0.96, abs=0.015)
+
+
+@pytest.mark.parametrize("preset", ["maze15", "dungeon", "noise30"])
+def test_bits_and_queue_give_equal_labels(preset: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which of them runs depends on the lengths of paths, and changes nothing but the time."""
+    maps = generate(preset, 5, range(40))
+    found = []
+    for threshold in (0.0, math.inf):
+        monkeypatch.setattr(labels_module, "LONG_PATHS", threshold)
+        found.append(label(maps).bfs)
+    for name in ("moves", "offsets", "iterations", "costs"):
+        np.testing.assert_array_equal(getattr(found[0], name), getattr(found[1], name))

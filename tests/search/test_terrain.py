@@ -15,10 +15,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from helpers import reference
+from helpers.examples import examples
 from helpers.grids import scipy_distances
 from helpers.reference import Cell
 from helpers.specs import MOVEMENTS, movements
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mapdata import MapSpec, astar, bfs, check_path, distance_field, generate
@@ -115,7 +116,7 @@ def optimal_moves(terrain: Bytes, goal: Cell, movement: Movement) -> Bytes:
 
 
 @movements
-@settings(max_examples=100)
+@examples(100)
 @given(problem=problems())
 def test_astar_on_terrain_equals_the_reference(movement: Movement, problem: Problem) -> None:
     """Path, cost and the number of expansions are the same, so the order of expansion is, too."""
@@ -150,7 +151,7 @@ def test_astar_equals_the_reference_where_many_open_cells_have_nearly_the_same_f
 
 
 @movements
-@settings(max_examples=60)
+@examples(60)
 @given(problem=problems())
 def test_fields_on_terrain_equal_the_reference(movement: Movement, problem: Problem) -> None:
     """Every cell holds its exact cost, rounded to float32 once, and all of its optimal moves."""
@@ -166,7 +167,7 @@ def test_fields_on_terrain_equal_the_reference(movement: Movement, problem: Prob
 
 
 @movements
-@settings(max_examples=60)
+@examples(60)
 @given(problem=problems())
 def test_the_path_check_gives_the_cost_of_astar(movement: Movement, problem: Problem) -> None:
     """The cost of a path follows from its cells alone, and is the same float."""
@@ -181,7 +182,7 @@ def test_the_path_check_gives_the_cost_of_astar(movement: Movement, problem: Pro
 
 
 @movements
-@settings(max_examples=60)
+@examples(60)
 @given(problem=problems())
 def test_costs_there_and_back_are_equal(movement: Movement, problem: Problem) -> None:
     """The rule is symmetric, so start and goal can be exchanged in costs."""
@@ -197,7 +198,7 @@ def test_costs_there_and_back_are_equal(movement: Movement, problem: Problem) ->
 
 
 @movements
-@settings(max_examples=60)
+@examples(60)
 @given(problem=problems())
 def test_terrain_of_ones_changes_nothing(movement: Movement, problem: Problem) -> None:
     """Floats, paths, expansions, fields and optimal moves are those of the map without terrain."""
@@ -229,7 +230,7 @@ def test_terrain_of_ones_changes_nothing_on_a_large_map(movement: Movement) -> N
 
 
 @movements
-@settings(max_examples=30)
+@examples(30)
 @given(problem=problems())
 def test_bfs_counts_moves_on_terrain(movement: Movement, problem: Problem) -> None:
     """The costs of the cells do not change what BFS finds."""
@@ -578,7 +579,7 @@ def test_the_smallest_cost_is_that_of_the_searched_map() -> None:
 
 
 @movements
-@settings(max_examples=60)
+@examples(60)
 @given(problem=problems())
 def test_hardness_on_terrain_is_the_cost_over_the_heuristic(
     movement: Movement, problem: Problem

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from helpers.examples import examples
 from helpers.specs import MOVEMENTS, SIDES, specs
 from helpers.terrain_maps import labelled_terrain
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mapdata import Labels, MapSpec, generate, label
@@ -23,7 +24,7 @@ from mapdata.movement import Movement
 from mapdata.shards import content_hash
 from mapdata.shards.content import combine
 
-SETTINGS = settings(max_examples=40)
+SETTINGS = examples(40)
 NUMBERS = st.integers(0, 1000) | st.integers(0, 2**63 - 1)
 SPECS = {
     "4": MapSpec((20, 70), (2, 5), (2, 8), (3, 12), passage_width=(1, 2), skip_probability=0.5),

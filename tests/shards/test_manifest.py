@@ -18,8 +18,9 @@ from typing import Any
 import h5py
 import pytest
 from helpers.builds import SPEC, restated, shard_name
+from helpers.examples import examples
 from helpers.specs import specs
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import mapdata
@@ -32,7 +33,7 @@ from mapdata.shards.header import is_shard_name
 from mapdata.shards.manifest import Entry, parse_manifest
 from mapdata.shards.merging import LOCK, load_shard, merge, sweep, union
 
-SETTINGS = settings(max_examples=60)
+SETTINGS = examples(60)
 HASH = "0123456789abcdef" * 4
 
 

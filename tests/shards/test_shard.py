@@ -22,8 +22,9 @@ from helpers import hostile
 from helpers.builds import SOUND_SEED as SEED
 from helpers.builds import SOUND_SPEC as SPEC
 from helpers.builds import unprivileged_folder
+from helpers.examples import examples
 from helpers.specs import MOVEMENTS, movements, specs
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mapdata import Labels, MapSpec, ShardError, generate, label, read_shard
@@ -33,7 +34,7 @@ from mapdata.shards.arrays import DATASETS, bits_per_move, decode, pack_moves, u
 from mapdata.shards.header import Header
 from mapdata.shards.image import shard_image
 
-SETTINGS = settings(max_examples=60)
+SETTINGS = examples(60)
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="inotify and /proc are Linux's")
 
 

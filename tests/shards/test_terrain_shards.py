@@ -18,10 +18,11 @@ import numpy as np
 import pytest
 from helpers import hostile, reference
 from helpers.builds import InTheCaller, publish, restated
+from helpers.examples import examples
 from helpers.families import PILLARS, forget
 from helpers.specs import MOVEMENTS, SIDES, movements
 from helpers.terrain_maps import imported_header, labelled_terrain, random_terrain_maps
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mapdata import (
@@ -107,7 +108,7 @@ def first_shard(root: Path) -> Path:
 # --- round trips --------------------------------------------------------------------------------
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(st.integers(0, 2**32), SIDES, SIDES, st.integers(1, 4), st.sampled_from(MOVEMENTS))
 def test_round_trip(seed: int, rows: int, columns: int, count: int, movement: Movement) -> None:
     """Maps, terrain and labels are read as they were written; some pairs have no path."""

@@ -11,7 +11,8 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from helpers.examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import dijkstra
 from scipy.stats import kstest
@@ -67,7 +68,7 @@ coordinates = st.integers(0, 7 * 8 - 1).filter(lambda k: k % 8).map(lambda k: Fr
 points = st.tuples(coordinates, coordinates)
 
 
-@settings(max_examples=400)
+@examples(400)
 @given(points, points, st.integers(0, 2**49 - 1))
 def test_segments_meet_exactly_the_cells_they_touch(start: Point, end: Point, bits: int) -> None:
     """A segment is free if and only if no cell that it meets, in a corner even, is occupied.

@@ -1,0 +1,271 @@
+"""Labels and paths beside compiled graph libraries and C++ planners: python -m benchmarks graphs.
+
+A graph library needs a graph of each map. Its searches are measured alone, and with the building of
+the graphs, since a new map needs a new graph. All find the same costs, which is checked first.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+import mapdata
+from benchmarks.measure import Peer, Row, each, interleaved, median_ratio, to_text
+from benchmarks.paths import Bytes, Cell, Ints, ends_of, grids_of, none_is_empty
+from mapdata import MapGenerator, Movement, generate, label
+
+PACKAGES = ("mapdata-torch", "numpy", "numba")
+
+SCIPY = Peer("scipy", "scipy", "scipy.sparse.csgraph", "dijkstra(graph, indices=seeds)")
+IGRAPH = Peer("igraph", "igraph", "igraph", "distances(seeds, seeds), get_shortest_paths(a, b)")
+CSTAR = Peer("cstar-pathfinding", "cstar-pathfinding", "cstar.pathfinding", "run_astar_2D")
+PYASTAR = Peer("pyastar2d", "pyastar2d", "pyastar2d", "astar_path(weights, start, goal)")
+
+PRESETS = ("paper", "dungeon", "cave")
+
+Matrix = npt.NDArray[np.float64]
+
+
+def edges_of(grid: Bytes, connectivity: int) -> tuple[Ints, Matrix]:
+    """Return the pairs of neighbouring free cells, (n, 2) numbers of cells, and their costs, (n,).
+
+    Diagonal moves need both orthogonal neighbours to be free.
+    """
+    free = grid == 0
+    numbers = np.arange(grid.size).reshape(grid.shape)
+    pairs = [
+        (numbers[:, :-1], numbers[:, 1:], free[:, :-1] & free[:, 1:], 1.0),
+        (numbers[:-1], numbers[1:], free[:-1] & free[1:], 1.0),
+    ]
+    if connectivity == 8:
+        all_free = free[:-1, :-1] & free[1:, 1:] & free[:-1, 1:] & free[1:, :-1]
+        pairs += [
+            (numbers[:-1, :-1], numbers[1:, 1:], all_free, 2**0.5),
+            (numbers[:-1, 1:], numbers[1:, :-1], all_free, 2**0.5),
+        ]
+    ends = [np.stack([one[ok], other[ok]], axis=1) for one, other, ok, _ in pairs]
+    costs = [np.full(np.count_nonzero(ok), cost) for *_, ok, cost in pairs]
+    return np.concatenate(ends), np.concatenate(costs)
+
+
+# --- the graph libraries: each builds a graph, and labels a map with it -------------------------
+
+
+def scipy_graph(module: Any, grid: Bytes, connectivity: int) -> Any:
+    """Return a sparse matrix, with both directions of each edge."""
+    from scipy.sparse import csr_matrix
+
+    ends, costs = edges_of(grid, connectivity)
+    rows, columns = np.concatenate([ends, ends[:, ::-1]]).T
+    return csr_matrix((np.concatenate([costs, costs]), (rows, columns)), (grid.size, grid.size))
+
+
+def scipy_labels(module: Any, graph: Any, seeds: Ints, connectivity: int) -> Matrix:
+    """Return the costs between seed points, and walk the paths between consecutive ones."""
+    costs, parents = module.dijkstra(
+        graph, indices=seeds, unweighted=connectivity == 4, return_predecessors=True
+    )
+    for k in range(len(seeds) - 1):
+        if np.isfinite(costs[k, seeds[k + 1]]):
+            path = [seeds[k + 1]]
+            while path[-1] != seeds[k]:
+                path.append(parents[k, path[-1]])
+    between: Matrix = costs[:, seeds]
+    return between
+
+
+def igraph_graph(module: Any, grid: Bytes, connectivity: int) -> Any:
+    """Return a graph with the costs of its edges."""
+    ends, costs = edges_of(grid, connectivity)
+    graph = module.Graph(grid.size, ends.tolist())
+    graph.es["cost"] = costs.tolist()
+    return graph
+
+
+def igraph_labels(module: Any, graph: Any, seeds: Ints, connectivity: int) -> Matrix:
+    """Return the costs between seed points, and find the paths between consecutive ones."""
+    cells = seeds.tolist()
+    weights = None if connectivity == 4 else "cost"
+    costs = graph.distances(cells, cells, weights=weights)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it warns where there is no path
+        for start, goal in pairwise(cells):
+            graph.get_shortest_paths(start, goal, weights=weights)
+    return np.array(costs, np.float64)
+
+
+LIBRARIES: dict[Peer, tuple[Callable[..., Any], Callable[..., Matrix]]] = {
+    SCIPY: (scipy_graph, scipy_labels),
+    IGRAPH: (igraph_graph, igraph_labels),
+}
+
+
+def label_rows(preset: str, connectivity: int, count: int, rounds: int) -> list[Row]:
+    """Return the rows of all labels of maps beside each library, alone and with its graphs.
+
+    Raises:
+        SystemExit: a library finds other costs.
+    """
+    generator = replace(MapGenerator.preset(preset), movement=Movement(connectivity))
+    maps = generate(generator, 0, range(count))
+    grids = np.ascontiguousarray(maps.occupancy)
+    columns = grids.shape[2]
+    seeds = [
+        np.asarray(maps.seed_points[k][: maps.rooms[k]]) @ np.array([columns, 1])
+        for k in range(count)
+    ]
+    rows = []
+    for peer in LIBRARIES:
+        work = f"labels, {preset}, {connectivity} moves, per map"
+        if peer.absence:
+            rows.append(Row(work, note=f"{peer.name}: skipped"))
+            continue
+        times = library_times(peer, maps, grids, seeds, connectivity, rounds)
+        both = [one + two for one, two in zip(times["search"], times["graph"], strict=True)]
+        for what, theirs in (("searches alone", times["search"]), ("with its graphs", both)):
+            ratio = f"{median_ratio(theirs, times['ours']):,.0f}x"
+            note = f"{peer.name}, {what}: equal costs"
+            rows.append(Row(work, each(times["ours"], count), each(theirs, count), ratio, "", note))
+    return rows
+
+
+def library_times(
+    peer: Peer,
+    maps: mapdata.Maps,
+    grids: Bytes,
+    seeds: list[Ints],
+    connectivity: int,
+    rounds: int,
+) -> dict[str, list[float]]:
+    """Return the seconds of our labels, of a library's searches, and of the building of its graphs.
+
+    Raises:
+        SystemExit: the library finds other costs.
+    """
+    build, search = LIBRARIES[peer]
+    module = peer.load()
+    graphs = [build(module, grid, connectivity) for grid in grids]
+    labels = label(maps)
+    for k, graph in enumerate(graphs):
+        found = search(module, graph, seeds[k], connectivity)
+        expected = labels.matrix("astar", k)
+        if not np.allclose(np.where(np.isfinite(found), found, -1), expected, atol=1e-3):
+            raise SystemExit(f"mapdata and {peer.name} differ on map {k}")
+    return interleaved(
+        {
+            "ours": lambda: label(maps),
+            "search": lambda: [
+                search(module, graph, seeds[k], connectivity) for k, graph in enumerate(graphs)
+            ],
+            "graph": lambda: [build(module, grid, connectivity) for grid in grids],
+        },
+        rounds,
+    )
+
+
+# --- planners in C++ ----------------------------------------------------------------------------
+
+
+def planner_rows(side: int, rounds: int) -> list[Row]:
+    """Return the rows of A* beside cstar-pathfinding and pyastar2d, on maps of each kind.
+
+    Raises:
+        SystemExit: a planner finds other costs.
+    """
+    rows = []
+    for kind, grid in grids_of(side).items():
+        ends = ends_of(grid, 40, near=False)
+        for peer, movement, solve in planners_of(grid):
+            work = f"A*, {kind}, {side} x {side}, {movement.connectivity} moves, per path"
+            if peer.absence:
+                rows.append(Row(work, note=f"{peer.name}: skipped"))
+                continue
+            for start, goal in ends:
+                ours = mapdata.astar(grid, start, goal, movement).cost
+                theirs = cost_of(none_is_empty(solve(start, goal)), movement)
+                if not np.isclose(ours, theirs):
+                    raise SystemExit(f"mapdata and {peer.name} differ on {kind}: {ours}, {theirs}")
+            times = interleaved(
+                {
+                    "ours": partial(_solve_all, partial(_ours, grid, movement), ends),
+                    "theirs": partial(_solve_all, solve, ends),
+                },
+                rounds,
+            )
+            ratio = f"{median_ratio(times['theirs'], times['ours']):,.1f}x"
+            ours_each, theirs_each = (each(times[name], len(ends)) for name in ("ours", "theirs"))
+            note = f"{peer.name}: equal costs"
+            rows.append(Row(work, ours_each, theirs_each, ratio, "", note))
+    return rows
+
+
+def planners_of(grid: Bytes) -> list[tuple[Peer, Movement, Callable[[Cell, Cell], Any]]]:
+    """Return the planners with the rule of moves that each has, and how it solves a problem."""
+    planners: list[tuple[Peer, Movement, Callable[[Cell, Cell], Any]]] = []
+    cutting = Movement(8, corner_cutting=True)
+
+    def by_cstar(start: Cell, goal: Cell) -> Any:
+        return CSTAR.load().run_astar_2D(grid == 0, *start, *goal)[0]
+
+    planners.append((CSTAR, cutting, by_cstar))
+    weights = np.where(grid == 1, np.inf, 1).astype(np.float32)
+    for movement, diagonals in (
+        (Movement(4), False),
+        (Movement(8, corner_cutting=True, diagonal_cost=1), True),
+    ):
+
+        def by_pyastar(start: Cell, goal: Cell, diagonals: bool = diagonals) -> Any:
+            return PYASTAR.load().astar_path(weights, start, goal, allow_diagonal=diagonals)
+
+        planners.append((PYASTAR, movement, by_pyastar))
+    return planners
+
+
+def cost_of(path: Any, movement: Movement) -> float:
+    """Return the cost of a path, -1 without one."""
+    cells = np.asarray(path, np.int64).reshape(-1, 2)
+    if not len(cells):
+        return -1.0
+    is_diagonal = np.abs(np.diff(cells, axis=0)).sum(axis=1) == 2
+    return float(np.where(is_diagonal, movement.diagonal_cost, 1.0).sum())
+
+
+def _ours(grid: Bytes, movement: Movement, start: Cell, goal: Cell) -> Any:
+    """Return our path."""
+    return mapdata.astar(grid, start, goal, movement).path
+
+
+def _solve_all(solve: Callable[[Cell, Cell], Any], ends: list[tuple[Cell, Cell]]) -> None:
+    """Solve all problems."""
+    for start, goal in ends:
+        solve(start, goal)
+
+
+def table(quick: bool, folder: str | None = None) -> str:
+    """Return the table in markdown; ``quick`` takes fewer maps, and ``folder`` is not used."""
+    count, rounds = (5, 3) if quick else (20, 5)
+    rows: list[Row] = []
+    for preset in PRESETS:
+        for connectivity in (4, 8):
+            rows += label_rows(preset, connectivity, count, rounds)
+    for side in (64,) if quick else (64, 512):
+        rows += planner_rows(side, rounds)
+    return to_text(
+        "Beside graph libraries and planners in C++",
+        rows,
+        packages=PACKAGES,
+        notes=(
+            f"{rounds} repeats, {count} maps",
+            "labels: costs between all rooms, and paths between consecutive ones; ours also has "
+            "the iterations of BFS and A*",
+            "cstar has 8 moves that cut corners and cost sqrt 2; pyastar2d's diagonal moves cost 1",
+        ),
+        peers=[*LIBRARIES, CSTAR, PYASTAR],
+    )

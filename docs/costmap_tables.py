@@ -1,0 +1,361 @@
+"""Measure costmaps that are learnt from drives, and write the results of docs/howto/costmap.md.
+
+    python docs/costmap_tables.py NAV2 [--tracks TRACKS]     docs/costmap_results.json and the page
+    python docs/costmap_tables.py                           the page again, measuring nothing
+
+NAV2 is a clone of https://github.com/ros-navigation/navigation2, for its maps. TRACKS is a clone
+of https://github.com/f1tenth/f1tenth_racetracks, for race lines that nobody here wrote. With three
+seeds it takes half an hour on one core.
+
+Drivers are programs. Each has hidden costs and drives the cheapest paths under them, on the map
+`TRAINING_MAP`. The costs learnt from its drives are tried on the maps of `TEST_MAPS`, which
+were named before the first measurement: the regret is how much dearer the planned paths are than
+the cheapest ones, under the hidden costs. Choices were made on seed 100; the page has seeds 0 to 2.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import torch
+from planner_tables import filled, markdown
+
+from mapdata import check_path, search_batch, terrain_from_costs
+from mapdata.arrays import Bytes, Float32s, Floats, Ints
+from mapdata.formats.ros import read_map
+from mapdata.generators.points import largest_component
+from mapdata.models.costmap import MOVEMENT, Costmap, fit_costmap, inflation_costs, site_of
+from mapdata.search import clearance, inflate
+from mapdata.search.lattice import CORNER_CUTTING
+from mapdata.shards import write_output
+
+DOCS = Path(__file__).parent
+RESULTS = DOCS / "costmap_results.json"
+PAGE = DOCS / "howto" / "costmap.md"
+
+ROBOT_RADIUS = 0.2
+TRAINING_MAP = "nav2_bringup/maps/depot.yaml"
+TEST_MAPS = {
+    "depot": TRAINING_MAP,
+    "tb3_sandbox": "nav2_bringup/maps/tb3_sandbox.yaml",
+    "warehouse": "nav2_bringup/maps/warehouse.yaml",
+    "smoothers_world": "tools/smoother_benchmarking/maps/smoothers_world.yaml",
+}
+"""The maps, by their places in the repository."""
+
+TRACKS = ("Austin", "Catalunya", "Monza", "Silverstone", "Zandvoort")
+"""The race tracks."""
+
+TEST_PROBLEMS = 60
+MIN_METRES = 3.0
+"""Start and goal of a drive are at least so far apart, along one axis."""
+
+SEEDS = range(3)
+DRIVES = (5, 20)
+
+Hidden = Callable[[Floats], Floats]
+"""Hidden cost of a clearance in metres."""
+
+
+def lane(metres: Floats) -> Floats:
+    """Return costs of a driver who keeps .6 m from walls: nearer and farther cells cost more."""
+    return 1 + 6 * np.abs(np.minimum(metres, 1.5) - 0.6)
+
+
+def wide(metres: Floats) -> Floats:
+    """Return costs of a driver who keeps away from walls, as an inflation layer says."""
+    return 1 + 4 * np.exp(-(metres - ROBOT_RADIUS) / 0.3)
+
+
+class Place:
+    """A map with the hidden costs of a driver.
+
+    Attributes:
+        ros_map: the map.
+        grid: (H, W), where the middle of the robot can be.
+        costs: (H, W) hidden costs, 1 where occupied.
+        terrain: (H, W) the same as a search takes them.
+        ends: (n, 2) cells of the largest connected component.
+    """
+
+    def __init__(self, path: Path, hidden: Hidden, carpet: bool = False) -> None:
+        """Read the map; ``carpet`` makes a third of the floor three times as dear."""
+        self.ros_map = read_map(path)
+        obstacles = self.ros_map.grid("occupied")
+        self.grid = inflate(obstacles, ROBOT_RADIUS / self.ros_map.resolution)
+        metres = clearance(obstacles).astype(np.float64) * self.ros_map.resolution
+        self.costs = np.where(self.grid, 1.0, hidden(metres))
+        if carpet:
+            self.costs = np.where(_patches(self.grid.shape), 3 * self.costs, self.costs)
+        self.terrain = terrain_from_costs(self.costs[None], self.grid[None])[0]
+        indices = largest_component(self.grid, CORNER_CUTTING)
+        self.ends = np.stack(np.unravel_index(indices, self.grid.shape), axis=1)
+
+    def draw_ends(self, rng: np.random.Generator) -> tuple[Ints, Ints]:
+        """Return a start and a goal that are not close to each other, (1, 2) each."""
+        while True:
+            start, goal = self.ends[rng.integers(len(self.ends), size=2)]
+            if np.abs(start - goal).max() * self.ros_map.resolution >= MIN_METRES:
+                return start[None], goal[None]
+
+    def path(self, start: Ints, goal: Ints, terrain: Bytes) -> Ints:
+        """Return the cheapest path, (k, 2)."""
+        found = search_batch("astar", self.grid[None], start, goal, MOVEMENT, terrain=terrain[None])
+        return found.cells
+
+
+def _patches(shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+    """Return which cells are carpet: a third of them, in squares of 20 cells."""
+    rng = np.random.default_rng(7)
+    squares = rng.random((shape[0] // 20 + 1, shape[1] // 20 + 1)) < 1 / 3
+    return np.kron(squares, np.ones((20, 20), bool))[: shape[0], : shape[1]]
+
+
+# --- drivers ------------------------------------------------------------------------------------
+
+
+def clean_drive(place: Place, rng: np.random.Generator) -> Floats:
+    """Return the poses of a cheapest path under the hidden costs, (k, 2) metres."""
+    return place.ros_map.to_metres(cells=place.path(*place.draw_ends(rng), place.terrain))
+
+
+def sloppy_drive(place: Place, rng: np.random.Generator) -> Floats:
+    """Return a drive of one who misjudges each cell: its hidden cost times exp(.5 * normal)."""
+    noise = np.exp(0.5 * rng.standard_normal(place.costs.shape))
+    terrain = terrain_from_costs((place.costs * noise)[None], place.grid[None])[0]
+    return place.ros_map.to_metres(cells=place.path(*place.draw_ends(rng), terrain))
+
+
+def right_drive(place: Place, rng: np.random.Generator) -> Floats:
+    """Return a drive of one who keeps .3 m right of the cheapest path, where there is room."""
+    cells = place.path(*place.draw_ends(rng), place.terrain)
+    ahead = np.asarray(np.gradient(_smoothed((cells + 0.5).astype(np.float64)), axis=0))
+    length = np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
+    # Rows grow downwards, so right of (down, right) is (right, -down).
+    rightwards = np.stack([ahead[:, 1], -ahead[:, 0]], axis=1) / length
+    moved = np.rint(cells + rightwards * 0.3 / place.ros_map.resolution).astype(np.int64)
+    moved = np.clip(moved, 0, np.array(place.grid.shape) - 1)
+    has_room = place.grid[tuple(moved.T)] == 0
+    return place.ros_map.to_metres(cells=np.where(has_room[:, None], moved, cells))
+
+
+def smooth_drive(place: Place, rng: np.random.Generator) -> Floats:
+    """Return a continuous, smooth line along a cheapest path."""
+    cells = place.path(*place.draw_ends(rng), place.terrain)
+    return place.ros_map.to_metres(points=_smoothed((cells + 0.5).astype(np.float64)))
+
+
+def _smoothed(points: Floats) -> Floats:
+    """Return points (k, 2), each the mean of those up to 4 before and after it."""
+    sums = np.cumsum(np.concatenate([np.zeros((1, 2)), points]), axis=0)
+    numbers = np.arange(len(points))
+    first, last = np.maximum(numbers - 4, 0), np.minimum(numbers + 5, len(points))
+    means: Floats = (sums[last] - sums[first]) / (last - first)[:, None]
+    return means
+
+
+Driver = tuple[Hidden, Callable[[Place, np.random.Generator], Floats], bool]
+
+DRIVERS: dict[str, Driver] = {
+    "keeps .6 m from walls": (lane, clean_drive, False),
+    "an inflation layer": (wide, clean_drive, False),
+    "keeps .6 m, sloppy": (lane, sloppy_drive, False),
+    "keeps right": (wide, right_drive, False),
+    "avoids carpet": (wide, clean_drive, True),
+    "smooth lines": (lane, smooth_drive, False),
+}
+"""Drivers: hidden costs of clearance, how they drive, and whether they mind carpet."""
+
+WITH_REGRET = ("keeps .6 m from walls", "an inflation layer", "keeps .6 m, sloppy", "avoids carpet")
+"""Drivers whose hidden costs are costs of cells."""
+
+
+def table_of_drives(drives: list[Floats]) -> pd.DataFrame:
+    """Return drives as `fit_costmap` takes them."""
+    parts = [
+        pd.DataFrame({"x": poses[:, 0], "y": poses[:, 1], "drive": number})
+        for number, poses in enumerate(drives)
+    ]
+    return pd.concat(parts, ignore_index=True)
+
+
+# --- measuring ----------------------------------------------------------------------------------
+
+
+def mean_regret(place: Place, costs: Float32s, seed: int) -> float:
+    """Return how much dearer planned paths are than the cheapest ones, in percent, in the mean."""
+    rng = np.random.default_rng(1000 + seed)
+    terrain = terrain_from_costs(np.where(place.grid, 1, costs)[None], place.grid[None])[0]
+    regrets = []
+    for _ in range(TEST_PROBLEMS):
+        ends = place.draw_ends(rng)
+        planned, cheapest = (place.path(*ends, of) for of in (terrain, place.terrain))
+        ours, best = (
+            check_path(place.grid, path, MOVEMENT, terrain=place.terrain)
+            for path in (planned, cheapest)
+        )
+        regrets.append(ours / best - 1)
+    return 100 * float(np.mean(regrets))
+
+
+def curve_error(costmap: Costmap, hidden: Hidden) -> float:
+    """Return the largest relative error of the curve where at least 100 cells were driven, in %.
+
+    The curve is scaled by the best single factor. The hidden cost of a point of the curve is the
+    mean over its interval of clearances.
+    """
+    assert costmap.curve is not None
+    known = costmap.curve[costmap.curve["driven"] >= 100]
+    truth = np.array(
+        [
+            hidden(np.linspace(middle - 0.05, middle + 0.05, 21)).mean()
+            for middle in known["clearance"]
+        ]
+    )
+    ratio = known["cost"].to_numpy() / truth
+    # With this factor the largest error upwards equals the largest one downwards.
+    factor = 2 / (ratio.max() + ratio.min())
+    return 100 * float(np.abs(ratio * factor - 1).max())
+
+
+def measure_driver(nav2: Path, name: str, count: int, seed: int) -> dict[str, Any]:
+    """Return a row: a driver, a number of drives and a seed."""
+    hidden, drive, minds_carpet = DRIVERS[name]
+    place = Place(nav2 / TRAINING_MAP, hidden, minds_carpet)
+    rng = np.random.default_rng(seed)
+    drives = table_of_drives([drive(place, rng) for _ in range(count)])
+    began = time.process_time()
+    costmap = fit_costmap(place.ros_map, drives, robot_radius=ROBOT_RADIUS, seed=seed)
+    row: dict[str, Any] = {
+        "driver": name,
+        "drives": count,
+        "seed": seed,
+        "seconds": time.process_time() - began,
+        "comparison": costmap.comparison.set_index("costs").to_dict("index"),
+        "inflation": costmap.inflation,
+    }
+    if drive is not right_drive and not minds_carpet:
+        row["curve_error"] = curve_error(costmap, hidden)
+    if name in WITH_REGRET:
+        row["regret"] = {}
+        for test_name, test_path in TEST_MAPS.items():
+            test = Place(nav2 / test_path, hidden, minds_carpet)
+            site = site_of(test.ros_map, ROBOT_RADIUS)
+            row["regret"][test_name] = {
+                "learnt costs": mean_regret(test, costmap.predict(site), seed),
+                "inflation layer": mean_regret(
+                    test, inflation_costs(site, ROBOT_RADIUS, *costmap.inflation), seed
+                ),
+                "shortest path": mean_regret(test, np.ones(test.grid.shape, np.float32), seed),
+            }
+    return row
+
+
+def measure_track(tracks: Path, name: str) -> dict[str, Any]:
+    """Return a row: the race line of a track, in drives of a tenth of a lap."""
+    ros_map = read_map(tracks / name / f"{name}_map.yaml")
+    table = pd.read_csv(tracks / name / f"{name}_raceline.csv", sep=";", comment="#", header=None)
+    poses = table[[1, 2]].to_numpy(np.float64)
+    drives = table_of_drives(np.array_split(poses, 10))
+    costmap = fit_costmap(ros_map, drives, robot_radius=ROBOT_RADIUS)
+    return {
+        "track": name,
+        "comparison": costmap.comparison.set_index("costs").to_dict("index"),
+        "dropped": costmap.dropped,
+    }
+
+
+# --- the page -----------------------------------------------------------------------------------
+
+METHODS = ("learnt costs", "inflation layer", "shortest path")
+
+
+def driver_table(rows: list[dict[str, Any]]) -> str:
+    """Return the regrets of each driver: the mean over seeds and maps, and over seeds of the worst
+    map.
+    """
+    head = ["driver", "drives", *METHODS, "largest error of the curve"]
+    lines = [head]
+    for (name, count), group in _groups(rows):
+        if name not in WITH_REGRET:
+            continue
+        cells = []
+        for method in METHODS:
+            regrets = np.array([[of[method] for of in row["regret"].values()] for row in group])
+            worst = regrets.mean(axis=0).max()  # of the map whose mean over seeds is largest
+            cells.append(f"{regrets.mean():.2f}; {worst:.2f}")
+        errors = [row["curve_error"] for row in group if "curve_error" in row]
+        lines.append([name, str(count), *cells, f"{np.mean(errors):.0f} %" if errors else "-"])
+    return markdown(lines)
+
+
+def distance_table(rows: list[dict[str, Any]], tracks: list[dict[str, Any]]) -> str:
+    """Return how far held-back drives are from the planned paths."""
+    lines = [["driver", "drives", *METHODS]]
+    groups = [(name, str(count), group) for (name, count), group in _groups(rows)]
+    groups += [("race lines of five tracks", "10 parts of a lap", tracks)] if tracks else []
+    for name, count, group in groups:
+        cells = []
+        for method in METHODS:
+            distance = np.mean([row["comparison"][method]["distance"] for row in group])
+            within = np.mean([row["comparison"][method]["within"] for row in group])
+            cells.append(f"{distance:.2f} cells, {100 * within:.0f} %")
+        lines.append([name, count, *cells])
+    return markdown(lines)
+
+
+def _groups(
+    rows: list[dict[str, Any]],
+) -> list[tuple[tuple[str, int], list[dict[str, Any]]]]:
+    """Return the rows of each driver and number of drives."""
+    keys = [(name, count) for name in DRIVERS for count in DRIVES]
+    return [
+        (key, [row for row in rows if (row["driver"], row["drives"]) == key])
+        for key in keys
+        if any((row["driver"], row["drives"]) == key for row in rows)
+    ]
+
+
+def write_page(results: dict[str, list[dict[str, Any]]]) -> None:
+    """Write the tables of docs/howto/costmap.md anew."""
+    tables = {
+        "regret": driver_table(results["drivers"]),
+        "distance": distance_table(results["drivers"], results["tracks"]),
+    }
+    text = filled(PAGE.read_text(encoding="utf-8"), tables)
+    write_output(PAGE, text.encode())
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Measure all rows, and write them and the page."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("nav2", type=Path, nargs="?", metavar="NAV2")
+    parser.add_argument("--tracks", type=Path, metavar="TRACKS")
+    options = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+    if options.nav2 is not None:
+        rows: dict[str, list[dict[str, Any]]] = {"drivers": [], "tracks": []}
+        for seed in SEEDS:
+            for name in DRIVERS:
+                for count in DRIVES:
+                    rows["drivers"].append(measure_driver(options.nav2, name, count, seed))
+                    print(json.dumps(rows["drivers"][-1]), flush=True)
+        for name in TRACKS if options.tracks else ():
+            rows["tracks"].append(measure_track(options.tracks, name))
+            print(json.dumps(rows["tracks"][-1]), flush=True)
+        write_output(RESULTS, (json.dumps(rows, indent=1) + "\n").encode())
+    write_page(json.loads(RESULTS.read_text(encoding="utf-8")))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,184 @@
+"""The verb ``evaluate``: its tables equal those of `mapdata.evaluate`, and one's own planner is a
+row of them.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from mapdata import MapSpec, Movement, ProblemSet, build, evaluate
+from mapdata.cli import main
+from mapdata.evaluation import TIMES, classical
+
+DUNGEON = MapSpec.preset("dungeon")
+
+MODULE = """
+import numpy as np
+
+from mapdata import Plan, astar
+
+
+class Mine:
+    name = "mine"
+
+    def __init__(self, movement):
+        self.movement = movement
+
+    def plan(self, grid, start, goal):
+        found = astar(grid, start, goal, self.movement)
+        return Plan(found.path, found.iterations)
+
+
+class ReturnsAList(Mine):
+    name = "lists"
+
+    def plan(self, grid, start, goal):
+        return [start, goal]
+
+
+class Fails(Mine):
+    name = "fails"
+
+    def plan(self, grid, start, goal):
+        raise ValueError("my own mistake")
+
+
+class Nameless(Mine):
+    name = None
+
+
+def make(movement):
+    return Mine(movement)
+
+
+from mapdata import Movement
+instance = Mine(Movement(8))
+number = 3
+"""
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """Write a module of planners into the working folder, and forget it afterwards."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    (tmp_path / "own_planners.py").write_text(MODULE)
+    yield "own_planners"
+    sys.modules.pop("own_planners", None)
+
+
+def rows_of(file: Path) -> list[dict[str, object]]:
+    """Return the rows of a table in a file, without times."""
+    rows: list[dict[str, object]] = json.loads(file.read_text())
+    times = re.compile("|".join(f"{name}(_low|_high)?$" for name in TIMES))
+    return [{key: row[key] for key in row if not times.match(key)} for row in rows]
+
+
+@pytest.mark.parametrize("name", ["Mine", "make", "instance"])
+def test_a_planner_of_ones_own_is_a_row(
+    module: str, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A class, a function and an object; here all are mapdata's A*, so the rows agree."""
+    main(
+        ["evaluate", "dungeon", "--maps", "9", "--planner", f"{module}:{name}", "--json", "a.json"]
+    )
+    rows = {(row["planner"], row["subset"]): row for row in rows_of(Path("a.json"))}
+    assert len(rows) == 2 * (len(classical(Movement(8))) + 1)
+    for subset in ("all", "hard"):
+        expected = {**rows["A*", subset], "planner": "mine"}
+        assert rows["mine", subset] == expected
+    out = capsys.readouterr().out
+    assert "problems by seed 77" in out
+    assert re.search(r"^ *mine 1\.000", out, re.MULTILINE)
+
+
+def test_a_file_a_dataset_and_a_preset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each gives the table of its problems."""
+    preset = ProblemSet.sample("dungeon", 77, 12, movement=Movement(8))
+    preset.save(tmp_path / "set.npz")
+    build(tmp_path / "maps", DUNGEON, maps=60, seed=9, shard_size=60, workers=1)
+    dataset = ProblemSet.read(tmp_path / "maps", movement=Movement(4))
+    json_file = tmp_path / "out.json"
+    for arguments, problems in (
+        ([str(tmp_path / "set.npz")], preset),
+        (["dungeon", "--maps", "12"], preset),
+        ([str(tmp_path / "maps"), "--connectivity", "4"], dataset),
+    ):
+        main(["evaluate", *arguments, "--json", str(json_file)])
+        table = evaluate(classical(problems.movement), problems)
+        table.to_json(tmp_path / "expected.json", orient="records")
+        for row, expected in zip(
+            rows_of(json_file), rows_of(tmp_path / "expected.json"), strict=True
+        ):
+            assert row == pytest.approx(expected)
+        assert problems.content_hash[:12] in capsys.readouterr().out
+
+
+def test_terrain_has_its_own_planners(tmp_path: Path) -> None:
+    """Those that take costs, and A* on mean cost."""
+    file = tmp_path / "out.json"
+    main(["evaluate", "tiles", "--maps", "3", "--json", str(file)])
+    expected = [planner.name for planner in classical(Movement(8), terrain=True)]
+    assert [row["planner"] for row in rows_of(file)] == 2 * expected
+
+
+def test_the_figure_is_written(tmp_path: Path) -> None:
+    """A PNG file, of the hard problems."""
+    main(["evaluate", "dungeon", "--maps", "12", "--figure", str(tmp_path / "planners.png")])
+    assert (tmp_path / "planners.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["dungeo"], "dungeo: there is no such file, dataset or preset; did you mean dungeon?"),
+        (["no/such/dataset"], "no dataset at no/such/dataset"),
+        (["no/such.npz"], "no/such.npz"),
+        (["dungeon", "--maps", "0"], "maps: got 0"),
+        (["dungeon", "--json", "no/out.json"], "no/out.json: cannot be written"),
+        (["dungeon", "--figure", "no/out.png"], "no/out.png: cannot be written"),
+        (["dungeon", "--planner", "own_planners"], "got 'own_planners', expected MODULE:NAME"),
+        (["dungeon", "--planner", "own_planners.py:Mine"], "expected the name of a module"),
+        (["dungeon", "--planner", "missing:Mine"], "there is no module 'missing'"),
+        (["dungeon", "--planner", "own_planners:Mina"], "has no 'Mina'; did you mean Mine?"),
+        (["dungeon", "--planner", "own_planners:number"], "own_planners:number is no planner"),
+        (
+            ["dungeon", "--planner", "own_planners:Nameless"],
+            "expected an object with a text 'name'",
+        ),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_what_is_wrong_is_said_in_one_line(
+    module: str, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The exit code is 2, and nothing else is printed."""
+    assert module
+    with pytest.raises(SystemExit) as error:
+        main(["evaluate", *arguments])
+    captured = capsys.readouterr()
+    assert (error.value.code, captured.out, captured.err.count("\n")) == (2, "", 1)
+    assert message in captured.err
+
+
+def test_an_answer_that_is_no_plan_is_refused(module: str) -> None:
+    """The message says what was returned."""
+    with pytest.raises(TypeError, match=r"lists: plan returned list, expected a mapdata\.Plan"):
+        main(["evaluate", "dungeon", "--maps", "2", "--planner", f"{module}:ReturnsAList"])
+
+
+def test_an_error_of_ones_own_code_shows_its_line(
+    module: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A ValueError ends the command with one line; the traceback stands before it."""
+    with pytest.raises(SystemExit):
+        main(["evaluate", "dungeon", "--maps", "2", "--planner", f"{module}:Fails"])
+    err = capsys.readouterr().err
+    assert 'raise ValueError("my own mistake")' in err
+    assert err.endswith("mapdata: my own mistake\n")
