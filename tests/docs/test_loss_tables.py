@@ -56,6 +56,7 @@ def test_each_loss_has_the_same_trials_and_tests(tables: Any, rows: Any) -> None
 
 def batch_and_costs(tables: Any) -> tuple[Sample, torch.Tensor, Float32s]:
     """Return a batch, costs that a model might predict, and the true costs, (B, H, W)."""
+    torch.manual_seed(0)
     batch = next(iter(tables.training_batches(tables.FAMILY, 16, seed=5)))
     generator = torch.Generator().manual_seed(0)
     costs = torch.rand(tables.SHAPE, generator=generator) + 0.1
@@ -80,11 +81,17 @@ def test_spo_plus_has_the_gradient_of_its_paper(tables: Any) -> None:
     batch, costs, truth = batch_and_costs(tables)
     loss = tables.loss_of("SPO+", 0.5, seed=0)(lambda image, occupied: costs, batch)
     loss.backward()
-    found = masks(tables, batch, (2 * costs.detach().numpy() - 0.5 * truth).astype(float))
-    expected = 2 * (tables.teacher_masks(batch).numpy() - found) / len(found)
     assert costs.grad is not None
-    np.testing.assert_allclose(costs.grad, expected, atol=1e-6)
-    assert np.abs(expected).sum() > 0
+    teacher = tables.teacher_masks(batch).numpy()
+    found = teacher - costs.grad.numpy() * len(teacher) / 2
+    np.testing.assert_allclose(found, np.round(found), atol=1e-5)
+    searched = (2 * costs.detach().numpy() - 0.5 * truth).clip(min=0).astype(float)
+    shortest = masks(tables, batch, searched)
+    # Other paths may be as short: the search rounds costs to 1/255 of the largest one of the map.
+    rounding = searched.max(axis=(1, 2)) / 255 * shortest.sum(axis=(1, 2))
+    longer = (searched * (found - shortest)).sum(axis=(1, 2))
+    assert (np.abs(longer) <= rounding).all()
+    assert (np.abs(found - shortest).sum(axis=(1, 2)) == 0).mean() > 0.5
     assert loss.item() > 0
 
 
