@@ -17,7 +17,7 @@ that of `CostPredictor`, but as a ratio. Drives need not be cheapest paths of an
 are those under which they are nearest to it.
 
 docs/howto/costmap.md shows what it finds, and where it does not serve. The inflation layer that it
-is compared with needs scipy: pip install "mapdata-torch[examples]".
+is compared with needs scipy, the extra [examples].
 """
 
 from __future__ import annotations
@@ -563,9 +563,16 @@ def inflation_costs(
     The layer's cost is ``252 * exp(-cost_scaling_factor * (distance - robot_radius))`` up to the
     inflation radius, and 0 beyond it; the distance is that to the nearest occupied cell's middle
     (computeCost of nav2_costmap_2d/inflation_layer.hpp). Occupied cells get 0.
-    """
-    from scipy.ndimage import distance_transform_edt
 
+    Raises:
+        ModuleNotFoundError: scipy is missing.
+    """
+    try:
+        from scipy.ndimage import distance_transform_edt
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            "fit_costmap needs scipy, the extra [examples]: pip install scipy", name="scipy"
+        ) from error
     cells = distance_transform_edt(site.ros_map.grid("occupied") == 0)
     distance = np.asarray(cells, np.float64) * site.ros_map.resolution
     layer = np.floor(252 * np.exp(-cost_scaling_factor * np.maximum(distance - robot_radius, 0)))

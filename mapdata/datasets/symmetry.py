@@ -7,6 +7,9 @@ from torch import Tensor
 
 from mapdata.arrays import Array
 
+REVERSE_ROWS, REVERSE_COLUMNS, SWAP = 1, 2, 4
+"""The bits of a code, in the order in which they act (`mapdata.problems.symmetry`)."""
+
 
 def apply_symmetry(values: Tensor | Array, symmetry: Tensor) -> Tensor:
     """Return values of the cells of maps after the symmetries that ``augment`` drew for the maps.
@@ -38,17 +41,25 @@ def apply_symmetry(values: Tensor | Array, symmetry: Tensor) -> Tensor:
             f"values: got shape {shape}, expected (B, ..., H, W) for symmetries of shape "
             f"{batch_shape}"
         )
-    codes = symmetry.reshape(*batch_shape, *[1] * (len(shape) - len(batch_shape)))
-    # `mapdata.problems.symmetry` explains the bits of a code.
-    values = torch.where((codes & 1).bool(), values.flip(-2), values)
-    values = torch.where((codes & 2).bool(), values.flip(-1), values)
-    swaps_axes = (codes & 4).bool()
     rows, columns = shape[-2:]
-    if rows == columns:
-        return torch.where(swaps_axes, values.mT, values)
-    if swaps_axes.any():
+    if rows != columns and (symmetry & SWAP).any():
         raise ValueError(
             f"values: got {rows} x {columns} cells, expected as many rows as columns, since the "
             "map is square"
         )
-    return values
+    if not batch_shape:
+        return _turned(values, int(symmetry)).contiguous()
+    turned = torch.empty_like(values)
+    for code in symmetry.unique().tolist():
+        has_code = symmetry == code
+        turned[has_code] = _turned(values[has_code], code)
+    return turned
+
+
+def _turned(values: Tensor, code: int) -> Tensor:
+    """Return values (..., H, W) after one symmetry."""
+    if code & REVERSE_ROWS:
+        values = values.flip(-2)
+    if code & REVERSE_COLUMNS:
+        values = values.flip(-1)
+    return values.mT if code & SWAP else values

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 from types import ModuleType
@@ -12,7 +13,7 @@ import pandas as pd
 import pytest
 from helpers.pages import DOCS
 
-from mapdata import Movement, ProblemSet, evaluate
+from mapdata import MapGenerator, Movement, ProblemSet, evaluate
 from mapdata.evaluation import classical
 
 OWN_PLANNER = """
@@ -33,7 +34,7 @@ class Twice:
         return Plan(plan.path, 2 * plan.expansions)
 
 
-from mapdata import Movement
+from mapdata import MapGenerator, Movement
 
 MOVEMENT = Movement(8)
 planner = Twice()
@@ -95,14 +96,14 @@ def test_one_command_adds_a_planner_to_the_results_and_to_the_page(
     assert {row["run"] for row in document["rows"]} == {0, 1}
 
 
-SLOW_SETS = ("paper-", "dungeon256-")
-"""The sets of thousands of maps, or of large ones."""
+QUICK_SETS = ("dungeon-hard-1000", "narrow-4-hard-300", "mazes-cut-300", "noise-4-hard-300")
+"""Sets of few and small maps, which the quick run draws."""
 
 
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=[pytest.mark.slow] if name.startswith(SLOW_SETS) else [])
+        pytest.param(name, marks=[] if name in QUICK_SETS else [pytest.mark.slow])
         for name, drawn in json.loads((DOCS / "planner_results.json").read_text())["sets"].items()
         if "seed" in drawn
     ],
@@ -110,12 +111,25 @@ SLOW_SETS = ("paper-", "dungeon256-")
 def test_the_sets_of_the_tables_keep_their_problems(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Those with a lowest distance alone are drawn as in the version that measured them."""
+    """Each has the numbers and the hash of the file of results. The name says how it is drawn:
+    preset, rule and number of hard problems.
+    """
     monkeypatch.syspath_prepend(str(DOCS))
     import planner_tables
 
-    sets = json.loads((DOCS / "planner_results.json").read_text())["sets"]
-    assert planner_tables.problems_of(name).content_hash == sets[name]["hash"]
+    drawn = json.loads((DOCS / "planner_results.json").read_text())["sets"][name]
+    found = planner_tables.problems_of(name)
+    assert found.content_hash == drawn["hash"]
+    assert (len(found), found.hard.sum()) == (drawn["problems"], drawn["hard"])
+    parts = re.fullmatch(r"(\w+?)(?:-(cut|4))?(?:-hard)?-(\d+)", name)
+    assert parts is not None
+    preset, rule, hard = parts.groups()
+    assert found.hard.sum() == int(hard)
+    expected = {"cut": Movement(8, corner_cutting=True), "4": Movement(4), None: Movement(8)}
+    assert found.movement == expected[rule]
+    if preset not in ("loops", "dungeon256"):
+        generator = MapGenerator.preset("maze" if preset == "mazes" else preset)
+        assert drawn["generator"] == json.loads(generator.to_json())
 
 
 def test_rows_of_other_problems_are_dropped(tables: ModuleType, tmp_path: Path) -> None:

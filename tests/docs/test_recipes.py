@@ -14,7 +14,9 @@ from helpers import pages
 from helpers.pages import DOCS, ROOT
 
 from mapdata import build
+from mapdata.cli import main
 
+PAGE = (DOCS / "recipes.md").read_text(encoding="utf-8")
 BLOCKS = pages.blocks(DOCS / "recipes.md")
 PROGRAMS = {
     package: next(
@@ -22,7 +24,7 @@ PROGRAMS = {
         for block in BLOCKS
         if re.search(rf"^(import|from) {package}\b", block.text, re.MULTILINE)
     )
-    for package in ("hydra", "accelerate", "skorch")
+    for package in ("hydra", "accelerate", "skorch", "numpy")
 }
 
 
@@ -59,6 +61,10 @@ def test_the_program_runs(package: str, tmp_path: Path) -> None:
     if importlib.util.find_spec(package) is None:
         pytest.skip(f"needs pip install {package}")
     build(tmp_path / "data" / "dungeon", "dungeon", maps=500)
+    if package == "numpy":  # the program of kept fields
+        (command,) = re.findall(r"^    (mapdata export .*)$", PAGE, re.MULTILINE)
+        _, _, source, target, *flags = command.split()
+        main(["export", str(tmp_path / source), str(tmp_path / target), *flags])
     (configuration,) = (block.text for block in BLOCKS if block.language == "yaml")
     (tmp_path / "conf").mkdir()
     (tmp_path / "conf" / "config.yaml").write_text(configuration, encoding="utf-8")

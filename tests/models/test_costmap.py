@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -267,6 +268,13 @@ def test_the_inflation_layer_follows_the_formula_of_nav2() -> None:
         charge = 50 + 0.8 * layer
         assert costs[row, column] == pytest.approx(charge / 50)
     assert costs[7, 8] == 0  # the robot cannot be there
+
+
+def test_without_scipy_the_message_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is needed for the distances of the inflation layer alone."""
+    monkeypatch.setitem(sys.modules, "scipy.ndimage", None)
+    with pytest.raises(ModuleNotFoundError, match=r"needs scipy, the extra \[examples\]"):
+        inflation_costs(site_of(office(), RADIUS), RADIUS, 0.5, 3.0)
 
 
 def test_map_server_reads_the_costs_back(costmap: Costmap, tmp_path: Path) -> None:

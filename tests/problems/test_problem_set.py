@@ -6,19 +6,16 @@ from __future__ import annotations
 
 import fcntl
 import os
-import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 from helpers import reference
-from helpers.pages import DOCS
 
 from mapdata import MapSpec, OnlineMapDataset, ProblemSet, Random, Route, astar, build
-from mapdata.generators import MapGenerator
 from mapdata.movement import Movement
 from mapdata.problems import HARD
 
@@ -509,53 +506,3 @@ def test_problems_between_seed_points_are_those_that_an_online_dataset_serves_fi
     assert len(sampled) > 10
     for grid, start, goal in zip(sampled.grids, sampled.starts, sampled.goals, strict=True):
         assert (grid.tobytes(), tuple(start.tolist()), tuple(goal.tolist())) in served
-
-
-class Row(NamedTuple):
-    """A row of the table of docs/planner_tables.md: a set of problems and how to make it again."""
-
-    name: str
-    flags: str
-    problems: str
-    hard: str
-    digits: str
-
-
-PAGE = (DOCS / "planner_tables.md").read_text(encoding="utf-8")
-SECTION = PAGE.partition("\n## The sets\n")[2].partition("\n## ")[0]
-
-
-def rows() -> list[Row]:
-    """Return the rows of the table, those whose second cell is a recipe."""
-    found = []
-    for line in SECTION.splitlines():
-        cells = [cell.strip(" `") for cell in line.strip("|").split("|")]
-        if len(cells) == 5 and cells[1].startswith("--preset "):
-            found.append(Row(*cells))
-    return found
-
-
-def test_the_page_names_its_sets() -> None:
-    """Every row of the table is found, so that the next test compares it."""
-    names = [row.name for row in rows()]
-    assert {"dungeon-hard-1000", "paper-hard-1000"} <= set(names)
-    assert names == re.findall(r"^\| (\S*-hard-\d+|mazes\S*) \|", SECTION, re.M)
-
-
-@pytest.mark.parametrize("row", rows(), ids=lambda row: row.name)
-def test_the_sets_behind_the_tables_are_what_their_recipes_give(row: Row) -> None:
-    """Each has the numbers and the hash that stand beside it, and as many hard problems as its name
-    says.
-    """
-    words = row.flags.split()
-    preset = words[words.index("--preset") + 1]
-    hard = int(words[words.index("--until-hard") + 1])
-    connectivity = 4 if "--connectivity" in words else 8
-    movement = Movement(connectivity, corner_cutting="--corner-cutting" in words)
-    generator = MapGenerator.preset(preset)
-    found = ProblemSet.sample(generator, seed=77, until_hard=hard, movement=movement)
-    assert f"{len(found):,}" == row.problems
-    assert f"{found.hard.sum():,}" == row.hard
-    ending = f"-{found.hard.sum()}" if row.name.startswith("mazes") else f"-hard-{found.hard.sum()}"
-    assert row.name.endswith(ending)
-    assert found.content_hash.startswith(row.digits)
