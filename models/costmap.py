@@ -25,6 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -213,7 +214,7 @@ class _Windows(NamedTuple):
     paths: Ints
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Site:
     """A map as the fit sees it.
 
@@ -226,6 +227,22 @@ class Site:
     ros_map: RosMap
     grid: Bytes
     planes: Float32s
+
+    @cached_property
+    def obstacle_distance(self) -> Floats:
+        """The distance from the middle of a cell to that of the nearest occupied one, in metres.
+
+        Raises:
+            ModuleNotFoundError: scipy is missing.
+        """
+        try:
+            from scipy.ndimage import distance_transform_edt
+        except ModuleNotFoundError as error:
+            raise ModuleNotFoundError(
+                "fit_costmap needs scipy, the extra [examples]: pip install scipy", name="scipy"
+            ) from error
+        cells = distance_transform_edt(self.ros_map.grid("occupied") == 0)
+        return np.asarray(cells, np.float64) * self.ros_map.resolution
 
 
 @dataclass(frozen=True, eq=False)
@@ -567,14 +584,7 @@ def inflation_costs(
     Raises:
         ModuleNotFoundError: scipy is missing.
     """
-    try:
-        from scipy.ndimage import distance_transform_edt
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            "fit_costmap needs scipy, the extra [examples]: pip install scipy", name="scipy"
-        ) from error
-    cells = distance_transform_edt(site.ros_map.grid("occupied") == 0)
-    distance = np.asarray(cells, np.float64) * site.ros_map.resolution
+    distance = site.obstacle_distance
     layer = np.floor(252 * np.exp(-cost_scaling_factor * np.maximum(distance - robot_radius, 0)))
     layer = np.where(distance <= inflation_radius, layer, 0)
     charge = (NAVFN_NEUTRAL + NAVFN_FACTOR * layer) / NAVFN_NEUTRAL

@@ -16,34 +16,26 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.jit import Int, kernel
-from mapdata.movement import STEPS
 from mapdata.search.ground import EXACT, is_usable_end
 from mapdata.search.kernels import (
     Scratch,
+    best_first_heap,
     count_moves,
     flood,
-    insert_in_heap,
-    remove_heap_top,
     scratch_view,
     shortest_costs,
     with_capacity,
     write_cells,
 )
 from mapdata.search.lattice import (
-    CLOSED,
     INFINITY,
-    UNIT,
     UNSEEN,
-    WALL,
     Lattice,
     MoveRule,
     cell_at,
     count_path_cells,
-    heuristic,
-    is_legal,
     lattice_of,
     load,
-    position,
 )
 from mapdata.search.solving import Solved
 
@@ -126,88 +118,10 @@ def landmark_costs(grid: Bytes, count: Int, lattice: Lattice, scratch: Scratch) 
 
 
 @kernel
-def _landmark_bound(cell: Int, goal: Int, costs: Ints) -> Int:
-    """Return the largest bound of landmarks on the cost from ``cell`` to ``goal``, or 0."""
-    bound: Int = 0
-    for k in range(len(costs)):
-        bound = max(bound, abs(costs[k, cell] - costs[k, goal]))
-    return bound
-
-
-@kernel
-def landmark_astar(start: Int, goal: Int, costs: Ints, lattice: Lattice, scratch: Scratch) -> Int:
-    """Run A* between two free padded cells; the heuristic knows ``costs`` of `landmark_costs`.
-
-    The order is that of mapdata's A* (docs/format.md) with another heuristic: the smallest f first,
-    and among equal f the most recently pushed cell. The heuristic is consistent, so the cost of an
-    expanded cell is final.
-
-    Args:
-        start: padded cell, free.
-        goal: padded cell, free.
-        costs: (landmarks, cells).
-        lattice: of the map.
-        scratch: with the map loaded in ``came_from``.
-
-    Returns:
-        The number of expansions.
-    """
-    came_from = scratch.came_from
-    g = scratch.g
-    pushed = scratch.pushed
-    heap = scratch.links
-    f = scratch.f
-    goal_row, goal_column = position(goal, lattice)
-    # All landmarks lie in one component, so one stands for all.  Without a path to both ends they
-    # say nothing.
-    if len(costs) and (costs[0, start] == INFINITY or costs[0, goal] == INFINITY):
-        costs = costs[:0]
-    came_from[start] = 0  # Any move will do: a path is traced back only as far as its start.
-    g[start] = 0
-    pushed[1] = start
-    heap[0] = 1
-    f[0] = 0  # The start is alone in the heap, so its priority does not matter.
-    heap_size = 1
-    pushes = np.uint32(2)
-    expansions = 0
-    while heap_size:
-        cell = pushed[np.uint64(heap[0])]
-        heap_size -= 1
-        remove_heap_top(heap, f, heap_size)
-        # A closed cell was pushed again with a smaller f and expanded then.
-        if came_from[cell] & CLOSED:
-            continue
-        came_from[cell] |= CLOSED
-        expansions += 1
-        if cell == goal:
-            break
-        row, column = position(cell, lattice)
-        for move in range(len(lattice.offsets)):
-            neighbour = np.uint64(cell + lattice.offsets[move])
-            tentative_g = g[cell] + (UNIT if move < 4 else lattice.diagonal_cost)
-            state = came_from[neighbour]
-            if state == WALL or (state != UNSEEN and g[neighbour] <= tentative_g):
-                continue
-            if not is_legal(came_from, cell, move, lattice):
-                continue
-            rows_to_goal = row + STEPS[move, 0] - goal_row
-            columns_to_goal = column + STEPS[move, 1] - goal_column
-            empty_map_bound = heuristic(rows_to_goal, columns_to_goal, lattice)
-            h = max(empty_map_bound, _landmark_bound(neighbour, goal, costs))
-            came_from[neighbour] = move
-            g[neighbour] = tentative_g
-            pushed[pushes] = neighbour
-            insert_in_heap(heap, f, heap_size, pushes, tentative_g + h)
-            heap_size += 1
-            pushes += np.uint32(1)
-    return expansions
-
-
-@kernel
 def solve_with_landmarks(
     grids: Bytes, starts: Ints, goals: Ints, landmarks: Int, rule: MoveRule, memory: Bytes
 ) -> tuple[Solved, Ints]:
-    """Search problem b from ``starts[b]`` to ``goals[b]`` on ``grids[b]`` by `landmark_astar`.
+    """Search problem b from ``starts[b]`` to ``goals[b]`` on ``grids[b]`` by A* with landmarks.
 
     Args:
         grids: (B, H, W), or (1, H, W) for a map that all problems share.
@@ -245,7 +159,12 @@ def solve_with_landmarks(
             load(grid, scratch.came_from)
         start = cell_at(starts[b, 0], starts[b, 1], lattice)
         goal = cell_at(goals[b, 0], goals[b, 1], lattice)
-        expansions[b] = landmark_astar(start, goal, costs, lattice, scratch)
+        # All landmarks lie in one component, so one stands for all.  Without a path to both ends
+        # they say nothing.
+        usable = costs
+        if len(costs) and (costs[0, start] == INFINITY or costs[0, goal] == INFINITY):
+            usable = costs[:0]
+        expansions[b], _ = best_first_heap(start, goal, (1, 1.0), usable, lattice, scratch)
         straight, diagonal = count_moves(scratch.came_from, start, goal, lattice)
         sums[b, 0] = straight
         sums[b, 1] = diagonal

@@ -187,7 +187,7 @@ def _expand(
         if weights == BFS:
             queue_length = flood(start, np.full(1, goal), lattice, scratch)
             return expansions_until(scratch.pushed, queue_length, goal), np.int64(1), EXACT
-        expansions, pushes = best_first_heap(start, goal, weights, lattice, scratch)
+        expansions, pushes = best_first_heap(start, goal, weights, None, lattice, scratch)
     elif diagonals is None:
         expansions, pushes = astar_manhattan(start, goal, lattice, scratch)
     else:
