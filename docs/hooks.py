@@ -5,6 +5,7 @@ picture of the theme that the reader has chosen; GitHub shows the light one. Of 
 is also ``name-phone.png``, with fewer columns, which narrow screens show.
 """
 
+import logging
 import re
 from collections.abc import MutableMapping
 from pathlib import Path
@@ -53,8 +54,20 @@ SEARCH_WORDS = {
 """What newcomers type to find a page, where it does not stand in the title."""
 
 
+def missing_inventory_is_no_error(record: logging.LogRecord) -> bool:
+    """Make a message of mkdocstrings on an inventory that it could not load a mere note.
+
+    The inventories of mkdocs.yml link types of other projects to their pages. Without a network
+    the site has these types as plain text; an error would stop a strict build.
+    """
+    if "Couldn't load inventory" in record.getMessage():
+        record.levelno, record.levelname = logging.INFO, "INFO"
+    return True
+
+
 def on_config(config: MutableMapping[str, Any]) -> None:
     """Link the repository at the top of each page, if CITATION.cff has its address."""
+    logging.getLogger("mkdocs.plugins.mkdocstrings").addFilter(missing_inventory_is_no_error)
     address = yaml.safe_load(CITATION.read_text(encoding="utf-8")).get("repository-code")
     if address:
         config["repo_url"] = address

@@ -8,6 +8,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from mapdata.datasets.arguments import (
+    DEFAULT_FIELDS,
+    FieldFunction,
+    MovementLike,
+    Transform,
+)
 from mapdata.datasets.dataset import DRAWS, MapDataset
 from mapdata.datasets.fields import FIELDS, Batch, MazeImage, Waypoints
 from mapdata.datasets.info import DatasetInfo, FieldInfo
@@ -23,20 +29,24 @@ if TYPE_CHECKING:
     from mapdata.datasets.datamodule import MapDataModule
 
 __all__ = [
+    "DEFAULT_FIELDS",
     "DRAWS",
     "FIELDS",
     "Batch",
     "DatasetInfo",
     "EpochSampler",
+    "FieldFunction",
     "FieldInfo",
     "LateLoader",
     "MapDataModule",
     "MapDataset",
     "MazeImage",
+    "MovementLike",
     "OnlineMapDataset",
     "ProblemSetDataset",
     "Sample",
     "Tiles",
+    "Transform",
     "Waypoints",
     "apply_symmetry",
     "maze_text",

@@ -29,20 +29,24 @@ from mapdata.search.api import SEARCHES
 from mapdata.search.footprint import min_squared_clearance
 
 FieldFunction = Callable[[Sample], Any] | Waypoints | Tiles | MazeImage
-"""A field that is no name of `FIELDS`: a function of the user, or one of `FIELD_CLASSES`.
+"""A field of your own: a function, or a field with options (`Waypoints`, `Tiles`, `MazeImage`).
 
-A function takes the batch so far and returns an array or a tensor.
+A function takes the batch so far, a `Sample`, and returns an array or a tensor with B rows.
 """
 
 Transform = Callable[[Sample], Any]
-"""A function of one sample, which is called after all else."""
+"""A function of one `Sample`, which is called after all else; a dataset returns its output."""
 
 DEFAULT_FIELDS = ("map", "start", "goal", "path")
+"""The fields of a sample where ``fields=`` is left out, in their order."""
 
 DEFAULT_PROBLEMS = Route()
 
 MovementLike = Movement | tuple[int, bool, float] | Mapping[str, Any]
-"""A `Movement`, its values in their order, or some of them by name, as configurations have it."""
+"""A `Movement`; its three values in their order; or some of them by name.
+
+For example ``{"connectivity": 8}`` in a configuration.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)

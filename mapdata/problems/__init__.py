@@ -2,7 +2,7 @@
 
 from mapdata.problems.problem_set import ProblemSet
 from mapdata.problems.sampling import sample_problems
-from mapdata.problems.sources import Pairs, Random, Route, Source
+from mapdata.problems.sources import Pairs, Random, Route, Source, SourceLike
 from mapdata.search.lattice import HARD
 
 __all__ = [
@@ -12,5 +12,6 @@ __all__ = [
     "Random",
     "Route",
     "Source",
+    "SourceLike",
     "sample_problems",
 ]

@@ -145,7 +145,10 @@ class Random:
 Source = Route | Pairs | Random
 
 SourceLike = str | Source | Mapping[str, Any]
-"""A source, or its name or JSON, as `problem_source` accepts it."""
+"""A source of problems: `Route`, `Pairs` or `Random`; its name, such as "random"; or plain JSON.
+
+In JSON the name stands with the arguments: ``{"random": {"distance": [10, null]}}``.
+"""
 
 SOURCES: dict[str, type[Source]] = {source.name: source for source in (Route, Pairs, Random)}
 """The sources by name."""

@@ -5,6 +5,7 @@ from mapdata.shards.content import content_hash
 from mapdata.shards.corruption import repair, verify
 from mapdata.shards.errors import DatasetNotFoundError, ShardError
 from mapdata.shards.files import write_file, write_output
+from mapdata.shards.locations import Locations
 from mapdata.shards.manifest import MANIFEST, PROVENANCE, Manifest, read_manifest
 from mapdata.shards.reader import open_shard, read_shard
 from mapdata.shards.root import Root
@@ -13,6 +14,7 @@ __all__ = [
     "MANIFEST",
     "PROVENANCE",
     "DatasetNotFoundError",
+    "Locations",
     "Manifest",
     "Root",
     "ShardError",
