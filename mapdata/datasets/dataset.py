@@ -351,7 +351,8 @@ class ProblemDataset(Dataset[Sample], ABC):
         """Draw a problem: its map, start S, goal G and path, whichever fields are served.
 
         The first dense field among the served ones, such as ``cost_to_go``, is drawn as a shade;
-        without one, the costs of the terrain if the maps have any. A ``transform`` is not applied.
+        without one, the costs of the terrain if the maps have any. All problems of a grid have one
+        scale, and free cells that cannot reach the goal are grey. A ``transform`` is not applied.
         ``dataset.plot(0).figure.savefig("map.png")`` writes a picture.
 
         Args:

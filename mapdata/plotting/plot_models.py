@@ -26,6 +26,7 @@ from mapdata.plotting.plot import (
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.image import AxesImage
 
 _COLLISION_COLOUR = "#E69F00"
 
@@ -38,7 +39,8 @@ def plot_sample(sample: tuple[Any, ...], axes: Axes | None = None) -> Axes:
 
     The figure shows the map, start S, goal G, path and waypoints, as far as the sample has these
     fields, and its first dense field, such as ``cost_to_go``, as a shade; without one the costs of
-    ``terrain``, unless all cells cost the same. Masks are not drawn.
+    ``terrain``, unless all cells cost the same. All samples of a batch have one scale. Free cells
+    without a value, which cannot reach the goal, are grey. Masks are not drawn.
 
     ``plot_sample(dataset[:9]).figure.savefig("batch.png")`` writes a picture.
 
@@ -68,32 +70,93 @@ def plot_sample(sample: tuple[Any, ...], axes: Axes | None = None) -> Axes:
         raise ValueError(
             f"sample: got {sample}, expected one sample, or more without axes, with a map"
         )
-    if is_batch:
-        count = min(len(grid), MAX_SAMPLES)
-        columns = math.ceil(math.sqrt(count))
-        rows = math.ceil(count / columns)
-        all_axes = new_axes(rows, columns, (4.2 * columns, 4.2 * rows))
-        for k in range(count):
-            plot_sample(type(sample)(*(tensor[k] for tensor in sample)), all_axes[k])
-        for unused in all_axes[count:]:
-            unused.set_axis_off()
-        return all_axes[0]
-    axes = plot_grid(grid[0], axes)
+    shade_name = _shade_name(fields, grid)
+    if not is_batch:
+        axes = axes or new_axes()[0]
+        limits = _shade_limits(shade_name, fields, grid)
+        image = _plot_problem(fields, grid[0], shade_name, limits, axes)
+        if image is not None:
+            scale_axes = axes.inset_axes((1.03, 0, 0.05, 1))  # as high as the map
+            axes.figure.colorbar(image, cax=scale_axes, label=shade_name)
+        return axes
+    count = min(len(grid), MAX_SAMPLES)
+    shown = {name: field[:count] for name, field in fields.items()}
+    limits = _shade_limits(shade_name, shown, grid[:count])
+    columns = math.ceil(math.sqrt(count))
+    rows = math.ceil(count / columns)
+    all_axes = new_axes(rows, columns, (4.2 * columns, 4.2 * rows))
+    for k in range(count):
+        one = {name: field[k] for name, field in shown.items()}
+        image = _plot_problem(one, grid[k, 0], shade_name, limits, all_axes[k])
+    for unused in all_axes[count:]:
+        unused.set_axis_off()
+    if image is not None:
+        parent_axes: Any = all_axes  # one scale at the right of all maps
+        all_axes[0].figure.colorbar(image, ax=parent_axes, label=shade_name, aspect=40)
+    return all_axes[0]
+
+
+def _shade_name(fields: dict[str, Array], grid: Array) -> str | None:
+    """Return the name of the field of a sample or batch that is drawn as a shade, if any."""
     dense_names = [name for name, field in fields.items() if _is_dense(name, field, grid)]
     if not dense_names and "terrain" in fields and fields["terrain"].max() > 1:
         dense_names = ["terrain"]
-    if dense_names:
-        name = dense_names[0]
-        dense = fields[name]
-        is_hidden = (grid == 1) | (dense < 0)
-        if name == "heuristic_ratio":
-            is_hidden |= dense == 0  # cells that cannot reach the goal
-        image = shade_cells(axes, dense[0], is_hidden[0])
-        if name == "heuristic_ratio":
-            # Most ratios are nearly 1, so a scale from 0 on would make all of them equally dark.
-            image.set_clim(dense[~is_hidden].min(initial=0.9), 1)
-        scale_axes = axes.inset_axes((1.03, 0, 0.05, 1))  # as high as the map
-        axes.figure.colorbar(image, cax=scale_axes, label=name)
+    return dense_names[0] if dense_names else None
+
+
+def _has_no_value(name: str, field: Array) -> Array:
+    """Return the cells where a dense field has no value, such as those without a path."""
+    # A ratio of 0 says that the cell cannot reach the goal.
+    return field <= 0 if name == "heuristic_ratio" else field < 0
+
+
+def _shade_limits(
+    name: str | None, fields: dict[str, Array], grid: Array
+) -> tuple[float, float] | None:
+    """Return the lowest and the highest number of the scale of a dense field.
+
+    None if no field is drawn, or if no free cell has a value.
+    """
+    if name is None:
+        return None
+    values = fields[name][(grid == 0) & ~_has_no_value(name, fields[name])]
+    if len(values) == 0:
+        return None
+    if name == "heuristic_ratio":
+        # Most ratios are nearly 1, so a scale from 0 on would make all of them equally dark.
+        return float(values.min(initial=0.9)), 1.0
+    return 0.0, float(values.max())
+
+
+def _plot_problem(
+    fields: dict[str, Array],
+    grid: Array,
+    shade_name: str | None,
+    limits: tuple[float, float] | None,
+    axes: Axes,
+) -> AxesImage | None:
+    """Draw one sample, and return the image of its dense field.
+
+    Args:
+        fields: of the sample, by name.
+        grid: (H, W), 0 free and 1 occupied.
+        shade_name: the field that is drawn as a shade, if any.
+        limits: the lowest and the highest number of its scale.
+        axes: where to draw.
+    """
+    plot_grid(grid, axes)
+    image = None
+    if shade_name is not None:
+        numbers = fields[shade_name][0]
+        no_value = _has_no_value(shade_name, numbers)
+        image = shade_cells(axes, numbers, (grid == 1) | no_value)
+        if limits is not None:
+            image.set_clim(*limits)
+        unreachable = (grid == 0) & no_value
+        if unreachable.any():
+            # On white they would look like the lowest values.
+            greys = np.ma.masked_where(~unreachable, np.full(grid.shape, 0.7))
+            axes.imshow(greys, "gray", vmin=0, vmax=1, interpolation="nearest")
     title_parts = []
     if "path" in fields:
         path = _without_padding(fields["path"])
@@ -110,7 +173,7 @@ def plot_sample(sample: tuple[Any, ...], axes: Axes | None = None) -> Axes:
         if name in fields:
             mark(axes, letter, *fields[name])
     axes.set_title(", ".join(title_parts))
-    return axes
+    return image
 
 
 def plot_prediction(

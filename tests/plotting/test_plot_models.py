@@ -88,12 +88,12 @@ def assert_as_high(scale: Any, axes: Axes) -> None:
 @pytest.mark.parametrize("field", ["cost_to_go", "heuristic_ratio", far_from_start])
 def test_first_dense_field_is_a_shade(tmp_path: Path, field: Any, number: int) -> None:
     """It shows values of free cells that reach the goal, with a scale that bears the
-    field's name.
+    field's name. Other free cells are grey.
     """
     fields = ("map", "goal_mask", "start", "goal", field, "path_probability")
     sample = MapDataset(build_small(tmp_path / "d", WIDE), fields=fields)[number]
     axes = plot_sample(sample)
-    _, shade = axes.get_images()
+    _, shade, *greys = axes.get_images()
     values: Any = shade.get_array()
     truth = np.asarray(sample[4][0])
     is_ratio = field == "heuristic_ratio"  # it is 0 on cells that do not reach the goal
@@ -102,10 +102,32 @@ def test_first_dense_field_is_a_shade(tmp_path: Path, field: Any, number: int) -
     np.testing.assert_array_equal(values.compressed(), truth[~values.mask])
     expected = (min(values.min(), 0.9), 1) if is_ratio else (0, values.max())
     assert shade.get_clim() == pytest.approx(expected)
+    unreachable = no_value & (np.asarray(sample.map[0]) == 0)
+    assert len(greys) == int(unreachable.any())
+    for grey in greys:
+        greys_mask: Any = grey.get_array()
+        np.testing.assert_array_equal(greys_mask.mask, ~unreachable)
     (scale,) = axes.child_axes
     assert scale.get_ylabel() == sample._fields[4]
     assert_as_high(scale, axes)
     assert_tidy(figure_of(axes))
+
+
+def test_the_samples_of_a_batch_have_one_scale(tmp_path: Path) -> None:
+    """It reaches to the highest value of all that are shown, and stands once in the figure."""
+    fields = ("map", "start", "goal", "cost_to_go")
+    dataset = MapDataset(build_small(tmp_path / "d", WIDE), fields=fields)
+    count = 4
+    figure = figure_of(plot_sample(dataset[:count]))
+    *maps, scale = figure.axes
+    shades = [axes.get_images()[1] for axes in maps]
+    assert len(shades) == count
+    assert scale.get_ylabel() == "cost_to_go"
+    highest = [float(dataset[k].cost_to_go.max()) for k in range(count)]
+    assert len(set(highest)) > 1
+    for shade in shades:
+        assert shade.get_clim() == pytest.approx((0, max(highest)))
+    assert_tidy(figure)
 
 
 def test_costs_of_terrain_are_a_shade_unless_another_field_is_dense() -> None:
