@@ -15,13 +15,14 @@ from mapdata.shards import write_output
 TABLES = {
     "labels": "all labels of a map beside naive Python, and how they grow",
     "paths": "A* beside pyastar2d, python-tcod, scipy, scikit-image, networkx, pathfinding",
-    "graphs": "labels beside scipy and igraph, with and without their graphs; A* beside cstar",
+    "graphs": "labels beside scipy and igraph, with and without their graphs; A* beside cstar and "
+    "Warthog",
     "terrain": "goal fields and A* on terrain beside scikit-image and pyastar2d",
     "making": "making maps beside maze-dataset",
     "build": "a dataset on disk beside the kernels alone; the first build ever; imports",
     "first_uses": "what the first use of each feature compiles",
     "loading": "batches beside tensors in RAM, TensorDataset, naive h5py, npz, PNG + CSV, "
-    "HF datasets, webdataset",
+    "HF datasets, webdataset, zarr, litdata",
     "bands": "random problems under conditions: how many goals a map gets",
 }
 PAGE = """# Benchmarks
@@ -41,8 +42,8 @@ The command `python -m benchmarks{arguments}` writes this page. The first rows o
 - If another package returns other results than mapdata, the benchmark stops with an error.
 - A target is a minimum ratio or rate, or a maximum time, size or growth. Missed targets are
   marked.
-- `pip install -e ".[bench]"` (and `maze-dataset "muutils<0.9"`) installs the other packages.
-  Missing ones are skipped.
+- `pip install -e ".[bench]"` (and `maze-dataset "muutils<0.9"`, and `litdata`, whose torchvision
+  must fit your torch) installs the other packages. Missing ones are skipped.
 - `python -m benchmarks labels paths` writes single tables: {names}. With `--quick` it takes a
   minute or two and is less exact.
 """

@@ -6,18 +6,22 @@ the graphs, since a new map needs a new graph. All find the same costs, which is
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+import tempfile
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 import mapdata
-from benchmarks.measure import Peer, Row, each, interleaved, median_ratio, to_text
+from benchmarks.measure import Peer, Row, each, interleaved, median_ratio, seconds, to_text
 from benchmarks.paths import Bytes, Cell, Ints, ends_of, grids_of, none_is_empty
 from mapdata import MapGenerator, Movement, generate, label
 
@@ -27,6 +31,13 @@ SCIPY = Peer("scipy", "scipy", "scipy.sparse.csgraph", "dijkstra(graph, indices=
 IGRAPH = Peer("igraph", "igraph", "igraph", "distances(seeds, seeds), get_shortest_paths(a, b)")
 CSTAR = Peer("cstar-pathfinding", "cstar-pathfinding", "cstar.pathfinding", "run_astar_2D")
 PYASTAR = Peer("pyastar2d", "pyastar2d", "pyastar2d", "astar_path(weights, start, goal)")
+
+WARTHOG_SEARCHES = (
+    ("warthog", "astar4c", Movement(4)),
+    ("warthog", "astar", Movement(8)),
+    ("warthog-jps", "jps2", Movement(8)),
+)
+"""Programs of Warthog on the PATH, the search that each is asked for, and its rule of moves."""
 
 PRESETS = ("paper", "dungeon", "cave")
 
@@ -228,6 +239,83 @@ def planners_of(grid: Bytes) -> list[tuple[Peer, Movement, Callable[[Cell, Cell]
     return planners
 
 
+def warthog_rows(side: int, rounds: int) -> list[Row]:
+    """Return the rows of our A* beside Warthog's A* and jump point search, on maps of each kind.
+
+    Raises:
+        SystemExit: Warthog finds other costs.
+    """
+    rows = []
+    for kind, grid in grids_of(side).items():
+        for program, search, movement in WARTHOG_SEARCHES:
+            work = f"A*, {kind}, {side} x {side}, {movement.connectivity} moves, per path"
+            if shutil.which(program) is None:
+                rows.append(Row(work, note=f"Warthog, {search}: skipped"))
+                continue
+            ends, costs = solvable_ends_of(grid, movement)
+            ours: list[float] = []
+            theirs: list[float] = []
+            with tempfile.TemporaryDirectory() as name:
+                scen = write_scenario(Path(name), grid, ends, costs)
+                for _ in range(rounds + 1):
+                    found = run_warthog(program, search, scen)
+                    if not np.allclose(found["pcost"], costs, rtol=1e-5):  # it prints six digits
+                        raise SystemExit(f"mapdata and Warthog, {search} differ on {kind}")
+                    theirs.append(float(found["nanos"].sum()) * 1e-9)
+                    ours.append(seconds(partial(_solve_all, partial(_ours, grid, movement), ends)))
+            ours, theirs = ours[1:], theirs[1:]  # the first round warms up
+            ratio = f"{median_ratio(theirs, ours):.3g}x"
+            note = f"Warthog, {search}: equal costs"
+            rows.append(Row(work, each(ours, len(ends)), each(theirs, len(ends)), ratio, "", note))
+    return rows
+
+
+def solvable_ends_of(
+    grid: Bytes, movement: Movement
+) -> tuple[list[tuple[Cell, Cell]], list[float]]:
+    """Return problems of a map that have a path, and the costs of a shortest one."""
+    ends = ends_of(grid, 40, near=False)
+    costs = [mapdata.astar(grid, start, goal, movement).cost for start, goal in ends]
+    pairs = [(pair, cost) for pair, cost in zip(ends, costs, strict=True) if cost >= 0]
+    return [pair for pair, _ in pairs], [cost for _, cost in pairs]
+
+
+def write_scenario(
+    folder: Path, grid: Bytes, ends: list[tuple[Cell, Cell]], costs: list[float]
+) -> Path:
+    """Write a map and its problems in MovingAI's formats, and return the file of problems."""
+    rows, columns = grid.shape
+    lines = ["".join(".@"[cell] for cell in row) for row in grid]
+    head = ["type octile", f"height {rows}", f"width {columns}", "map"]
+    (folder / "map.map").write_text("\n".join([*head, *lines]) + "\n")
+    problems = [
+        f"0\tmap.map\t{columns}\t{rows}\t{start[1]}\t{start[0]}\t{goal[1]}\t{goal[0]}\t{cost:.8f}"
+        for (start, goal), cost in zip(ends, costs, strict=True)
+    ]
+    scen = folder / "map.scen"
+    scen.write_text("\n".join(["version 1", *problems]) + "\n")
+    return scen
+
+
+def run_warthog(program: str, search: str, scen: Path) -> dict[str, Matrix]:
+    """Return the columns ``nanos`` and ``pcost`` that Warthog prints, one value a problem."""
+    command = [
+        program,
+        "--alg",
+        search,
+        "--scen",
+        str(scen),
+        "--map",
+        str(scen.with_suffix(".map")),
+    ]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    head, *lines = [line.split("\t") for line in printed.splitlines()]
+    return {
+        name: np.array([float(line[head.index(name)]) for line in lines])
+        for name in ("nanos", "pcost")
+    }
+
+
 def cost_of(path: Any, movement: Movement) -> float:
     """Return the cost of a path, -1 without one."""
     cells = np.asarray(path, np.int64).reshape(-1, 2)
@@ -257,6 +345,7 @@ def table(quick: bool, folder: str | None = None) -> str:
             rows += label_rows(preset, connectivity, count, rounds)
     for side in (64,) if quick else (64, 512):
         rows += planner_rows(side, rounds)
+        rows += warthog_rows(side, rounds)
     return to_text(
         "Beside graph libraries and planners in C++",
         rows,
@@ -265,6 +354,11 @@ def table(quick: bool, folder: str | None = None) -> str:
             f"{rounds} repeats, {count} maps",
             "labels: costs between all rooms, and paths between consecutive ones; ours also has "
             "the iterations of BFS and A*",
+            "Warthog: the times that it prints, of its searches without reading files and paths; "
+            "ours include the path and a call from Python. `jps2` is its jump point search",
+            "Warthog is built from https://github.com/ShortestPathLab/warthog-core and warthog-jps "
+            "with `-DCMAKE_BUILD_TYPE=Release -DWARTHOG_INTRIN_ALL=ON`; it is skipped where its "
+            "programs are not on the PATH",
             "cstar has 8 moves that cut corners and cost sqrt 2; pyastar2d's diagonal moves cost 1",
         ),
         peers=[*LIBRARIES, CSTAR, PYASTAR],

@@ -19,6 +19,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -45,6 +46,8 @@ from mapdata import (
 PACKAGES = ("mapdata-torch", "torch", "pytorch-lightning", "numpy", "numba", "h5py", "pillow")
 ARROW = Peer("HF datasets", "datasets", "datasets", 'load_from_disk(path).with_format("torch")[i]')
 TAR = Peer("webdataset", "webdataset", "webdataset", "WebDataset(path).decode().to_tuple(...)")
+ZARR = Peer("zarr", "zarr", "zarr", "array.oindex[indices], or array[i]")
+LITDATA = Peer("litdata", "litdata", "litdata", "StreamingDataLoader(StreamingDataset(path))")
 PEERS = (
     Peer("in-RAM tensors", "torch", "torch", "tensor[idx]"),
     Peer(
@@ -55,6 +58,8 @@ PEERS = (
     Peer("PNG + CSV", "pillow", "PIL", "Image.open(png), ast.literal_eval(cell of the csv)"),
     ARROW,
     TAR,
+    ZARR,
+    LITDATA,
 )
 SPEC = MapSpec.preset("paper")
 BATCH = 256
@@ -210,6 +215,45 @@ def web_dataset(path: Path, tensors: Tensors) -> Iterable[Any]:
     return pipeline
 
 
+class ZarrArrays(Dataset[Any]):
+    """An array a field, in chunks of 64 samples, with zarr's default compression."""
+
+    def __init__(self, folder: Path, tensors: Tensors) -> None:
+        """Write the arrays, and open them."""
+        zarr = ZARR.load()
+        group = zarr.open_group(str(folder), mode="w")
+        for name, tensor in zip(MASKED, tensors, strict=True):
+            group.create_array(name, data=tensor.numpy(), chunks=(64, *tensor.shape[1:]))
+        read = zarr.open_group(str(folder), mode="r")
+        self.arrays = [read[name] for name in MASKED]
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return int(self.arrays[0].shape[0])
+
+    def __getitem__(self, i: int) -> tuple[torch.Tensor, ...]:
+        return tuple(torch.as_tensor(np.asarray(array[i])) for array in self.arrays)
+
+    def batch(self, indices: list[int]) -> list[torch.Tensor]:
+        """Return these samples, by one call a field."""
+        return [torch.from_numpy(array.oindex[indices]) for array in self.arrays]
+
+
+def lit_data(folder: Path, tensors: Tensors, *, shuffle: bool) -> Iterable[Any]:
+    """Return batches of the samples from the chunks of `litdata`, in order or as it shuffles."""
+    litdata = LITDATA.load()
+    if not folder.exists():
+        writer_module = import_module("litdata.streaming.writer")
+        writer = writer_module.BinaryWriter(str(folder), chunk_bytes="64MB")
+        for k, values in enumerate(zip(*tensors, strict=True)):
+            writer[k] = dict(zip(MASKED, values, strict=True))
+        writer.done()
+        writer.merge(1)
+    dataset = litdata.StreamingDataset(str(folder), shuffle=shuffle)
+    batches: Iterable[Any] = litdata.StreamingDataLoader(dataset, batch_size=BATCH, shuffle=shuffle)
+    return batches
+
+
 def memory_maps(folder: Path, tensors: Tensors) -> list[npt.NDArray[Any]]:
     """Return the tensors as mapped npy files."""
     files = []
@@ -323,6 +367,51 @@ def peers(folder: Path, root: Path, few: int) -> list[Reader]:
                 "webdataset, in order", lambda: drain(web), len(small[0]), "tar of npy, no batches"
             )
         )
+    return found + zarr_readers(folder, small) + litdata_readers(folder, small)
+
+
+def zarr_readers(folder: Path, tensors: Tensors) -> list[Reader]:
+    """Return the readers by `zarr`, none if it is missing: a call a batch, and a call a sample."""
+    if ZARR.absence:
+        return []
+    arrays = ZarrArrays(folder / "maps.zarr", tensors)
+    check(arrays.batch([*range(8)]), tensors, "zarr")
+    check(next(iter(DataLoader(arrays, 8))), tensors, "zarr, DataLoader")
+    length = len(arrays)
+    size = f"chunks of 64, {length:,} samples"
+
+    def by_batch() -> None:
+        for indices in orders(length, 2):
+            arrays.batch(indices)
+
+    def by_sample() -> None:
+        drain(loader_of(arrays, length, 1))
+
+    return [
+        Reader("zarr, a call a batch", by_batch, 2 * BATCH, size),
+        Reader("zarr, DataLoader", by_sample, BATCH, size),
+    ]
+
+
+def litdata_readers(folder: Path, tensors: Tensors) -> list[Reader]:
+    """Return the readers by `litdata`, none if it is missing: in order, and shuffled."""
+    if LITDATA.absence:
+        return []
+    found = []
+    for name, shuffle in (("in order", False), ("shuffled", True)):
+        batches = lit_data(folder / "litdata", tensors, shuffle=shuffle)
+        shown = [[batch[field] for field in MASKED] for batch in batches]
+        read = [torch.cat(parts) for parts in zip(*shown, strict=True)]
+        check_in_any_order(read, tensors, f"litdata, {name}")
+        samples = len(tensors[0])
+        found.append(
+            Reader(
+                f"litdata, {name}",
+                partial(drain, batches),
+                samples,
+                f"chunks of 64 MB, {samples:,} samples",
+            )
+        )
     return found
 
 
@@ -331,6 +420,17 @@ def check(batch: Sequence[torch.Tensor], tensors: Tensors, name: str) -> None:
     for field, value, truth in zip(MASKED, batch, tensors, strict=True):
         if not torch.equal(value, truth[: len(value)]):
             raise SystemExit(f"mapdata and {name} differ in {field}: nothing was measured")
+
+
+def check_in_any_order(read: Tensors, tensors: Tensors, name: str) -> None:
+    """Stop if all samples of another reader, in whatever order they come, are not ours."""
+
+    def sorted_bytes(fields: Tensors) -> list[bytes]:
+        samples = zip(*fields, strict=True)
+        return sorted(b"".join(value.numpy().tobytes() for value in sample) for sample in samples)
+
+    if sorted_bytes(read) != sorted_bytes(tensors):
+        raise SystemExit(f"mapdata and {name} differ: nothing was measured")
 
 
 # --- rows ---------------------------------------------------------------------------------------
@@ -389,9 +489,13 @@ def reader_rows(
             f"{'default fields' if other == 'default' else 'masked fields of one shard'}",
         )
 
+    ratios = {
+        other: median_ratio(times[other.name], base) * batches * BATCH / other.samples
+        for other in others
+    }
     rows = []
-    for other in others:
-        ratio = median_ratio(times[other.name], base) * batches * BATCH / other.samples
+    # The readers that beat ours come first.
+    for other, ratio in sorted(ratios.items(), key=lambda item: item[1]):
         target = ram_target if other.name.startswith("in-RAM") else other.target
         text = f"{ratio:,.0f}x" if ratio >= 100 else f"{ratio:.2f}x"
         mine, theirs = rate(base, batches * BATCH), rate(times[other.name], other.samples)

@@ -4,6 +4,9 @@ and the one door to all tables. No timing.
 
 from __future__ import annotations
 
+import os
+import shutil
+import sys
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -12,9 +15,10 @@ import numpy as np
 import pytest
 
 from benchmarks import __main__ as door
-from benchmarks import making, measure, naive, paths, terrain
+from benchmarks import graphs, loading, making, measure, naive, paths, terrain
 from benchmarks.measure import Peer, Row
-from mapdata import MapSpec, distance_field, generate, label
+from mapdata import MapSpec, Movement, build, distance_field, generate, label
+from mapdata.formats.movingai import read_scen, read_terrain, terrain_grid
 
 MAPS = 20
 
@@ -294,3 +298,74 @@ def test_other_costs_on_terrain_stop_the_run(part: str, monkeypatch: pytest.Monk
     monkeypatch.setattr(terrain, "skimage_path_cost", lambda *_: float(field[3, 9]) + wrong["path"])
     with pytest.raises(SystemExit, match=f"mapdata and scikit-image differ in a {part}"):
         terrain.check_costs(ones, [(3, 9)], [(0, 0)])
+
+
+def test_warthog_gets_the_same_problems(tmp_path: Path) -> None:
+    """The files that it reads have our map, starts, goals and costs; those without a path are left
+    out.
+    """
+    ends, costs = graphs.solvable_ends_of(WALLED, Movement(4))
+    assert 0 < len(ends) < 40
+    scen = graphs.write_scenario(tmp_path, WALLED, ends, costs)
+    np.testing.assert_array_equal(terrain_grid(read_terrain(tmp_path / "map.map")), WALLED)
+    read = read_scen(scen)
+    assert [(problem.start, problem.goal) for problem in read] == ends
+    assert [float(problem.length) for problem in read] == costs
+
+
+@pytest.mark.parametrize("program", ["warthog", "warthog-jps"])
+def test_warthog_finds_our_costs(program: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a map of rooms, if it is there; rows say so where it is not."""
+    grid = generate(MapSpec.preset("paper"), 3, [0]).occupancy[0]
+    monkeypatch.setattr(graphs, "grids_of", lambda _: {"rooms": grid})
+    searches = [search for search in graphs.WARTHOG_SEARCHES if search[0] == program]
+    monkeypatch.setattr(graphs, "WARTHOG_SEARCHES", searches)
+    what = "skipped" if shutil.which(program) is None else "equal costs"
+    rows = graphs.warthog_rows(64, 1)
+    assert [row.note for row in rows] == [f"Warthog, {search[1]}: {what}" for search in searches]
+    assert all(bool(row.ratio) == (what == "equal costs") for row in rows)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the program is a shell script")
+def test_other_costs_of_warthog_stop_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A program in its place that prints one cell too many."""
+    _, costs = graphs.solvable_ends_of(WALLED, Movement(4))
+    monkeypatch.setattr(graphs, "grids_of", lambda _: {"walled": WALLED})
+    monkeypatch.setattr(graphs, "WARTHOG_SEARCHES", [("false-warthog", "astar4c", Movement(4))])
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    for extra in (0, 1):
+        lines = [
+            "id\tnanos\tpcost",
+            *(f"{k}\t1000\t{cost + extra}" for k, cost in enumerate(costs)),
+        ]
+        program = tmp_path / "false-warthog"
+        program.write_text("#!/bin/sh\ncat <<'END'\n" + "\n".join(lines) + "\nEND\n")
+        program.chmod(0o755)
+        if extra:
+            with pytest.raises(SystemExit, match="mapdata and Warthog, astar4c differ on walled"):
+                graphs.warthog_rows(3, 1)
+        else:
+            (row,) = graphs.warthog_rows(3, 1)
+            assert row.other == "1 us"
+
+
+def test_readers_of_files_give_our_samples(tmp_path: Path) -> None:
+    """By zarr and litdata, if they are there; a sample that is missing or another is seen."""
+    build(tmp_path / "maps", MapSpec.preset("paper"), maps=30)
+    tensors = loading.in_ram(tmp_path / "maps", 100)
+    found = [
+        *loading.zarr_readers(tmp_path, tensors),
+        *loading.litdata_readers(tmp_path, tensors),
+    ]
+    present = [not peer.absence for peer in (loading.ZARR, loading.LITDATA)]
+    assert len(found) == 2 * sum(present)
+
+    turned = [tensor.flip(0) for tensor in tensors]
+    loading.check_in_any_order(turned, tensors, "a reader")
+    fewer = [tensor[1:] for tensor in tensors]
+    other = [tensors[0] ^ 1, *tensors[1:]]
+    for wrong in (fewer, other):
+        with pytest.raises(SystemExit, match="mapdata and a reader differ"):
+            loading.check_in_any_order(wrong, tensors, "a reader")
