@@ -38,7 +38,7 @@ def worth(rows: list[dict[str, Any]], preset: str) -> str:
                 f"{row['connectivity']} moves"
             )
     return (
-        "Of random problems so many have a detour of 5 % or more, and so many a single shortest "
+        "Random problems with a detour of 5 % or more, and those with a single shortest "
         f"path: {'; '.join(sentences)}."
     )
 

@@ -26,7 +26,7 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_both_command_lines_stand_at_the_top() -> None:
     """With a virtual environment nothing else is needed, so they come before the first heading."""
-    environment = "    python -m venv .venv && . .venv/bin/activate\n"
+    environment = "    python3 -m venv .venv && . .venv/bin/activate\n"
     first = "    pip install -c constraints.txt -e . && python scripts/build_shards.py\n"
     second = '    pip install -c constraints.txt -e ".[test]" && pytest -n 2\n'
     assert environment + first + second in README.split("\n## ")[0]
@@ -59,10 +59,13 @@ def test_its_numbers_are_those_of_the_benchmarks() -> None:
             for moves in (4, 8)
         ]
         assert [cell.strip() for cell in line.split("|")[2:4]] == cells
-    for planner, moves in (("pyastar2d", (4, 8)), ("cstar-pathfinding", (8,))):
+    for planner, moves in (("pyastar2d", (4, 8)), ("cstar-pathfinding", (8,)), ("Warthog", (4, 8))):
         (line,) = (line for line in table.splitlines() if f"beside {planner}" in line)
-        cells = [said(k, planner) if k in moves else "" for k in (4, 8)]
+        words = (planner, "astar") if planner == "Warthog" else (planner,)
+        cells = [said(k, *words) if k in moves else "" for k in (4, 8)]
         assert [cell.strip() for cell in line.split("|")[2:4]] == cells
+    fastest, _, _ = said(8, "jps2").partition(" to ")
+    assert f"jump point search takes as little as {fastest} of it" in " ".join(table.split())
     ratio = re.search(r"\| (0\.\d+)x +\|[^|]*\| torch.index_select of problems", measured)
     assert ratio is not None
     assert f"served {1 / float(ratio[1]):.0f} times as fast" in " ".join(table.split())
