@@ -670,7 +670,7 @@ def test_a_data_module_serves_terrain(roots: dict[str, str]) -> None:
     assert batch.terrain.shape == (4, 1, 64, 64)
     assert batch.terrain.dtype == torch.float32
     assert (batch.cost_to_go[batch.terrain == 0] == -1).all()
-    (scale,) = data.plot().child_axes  # the colour bar of the first map
+    *_, scale = data.plot().figure.axes  # the colour bar of all maps
     assert scale.get_ylabel() == "cost_to_go"
 
 
