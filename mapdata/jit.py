@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import gc
 import hashlib
+import operator
 import os
 import sys
 import warnings
 from collections import defaultdict
 from collections.abc import Callable
+from functools import partial
 from multiprocessing import current_process
 from pathlib import Path
 from threading import Timer
@@ -22,7 +24,10 @@ from typing import Any, TypeAlias, TypeVar, cast
 
 import numba
 import numpy as np
-from numba.core import event, types
+from numba.core import event, ir, ir_utils, types
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import FunctionPass, register_pass
+from numba.core.untyped_passes import InlineInlinables, RewriteSemanticConstants
 
 Int: TypeAlias = Any
 """An integer inside a kernel, where integers of Python and of numpy mix."""
@@ -206,6 +211,89 @@ def _ignore_constants(dispatcher: Any) -> None:
     dispatcher.get_call_template = get_template
 
 
+_ANALYSIS: Any = ir_utils  # numba does not annotate the functions of this module.
+
+
+@register_pass(mutates_CFG=False, analysis_only=False)  # type: ignore[no-untyped-call]
+class _DecideIsNone(FunctionPass):
+    """Replaces ``x is None`` by False where the type of the argument ``x`` has no None.
+
+    numba itself leaves out a branch for arrays if the argument is None. If it is an array, numba
+    compiles the branch for None, too. After this pass, it compiles only what the kernel can run.
+    Source: numba's documentation, "Customizing the compiler".
+    """
+
+    _name = "mapdata_decide_is_none"
+
+    def __init__(self) -> None:
+        """Numba makes a new object for each function."""
+        super().__init__()  # type: ignore[no-untyped-call]
+
+    def run_pass(self, state: Any) -> bool:
+        """Replace the comparisons in the function of ``state``; return whether there were any."""
+        function = state.func_ir
+        is_changed = False
+        for block in function.blocks.values():
+            for statement in block.find_insts(ir.Assign):
+                comparison = statement.value
+                if _is_settled(comparison, function, state.args):
+                    is_not_none = ir.Const(comparison.fn is operator.is_not, comparison.loc)  # type: ignore[no-untyped-call]
+                    statement.value = is_not_none
+                    definitions = function._definitions[statement.target.name]
+                    definitions[definitions.index(comparison)] = is_not_none
+                    is_changed = True
+        return is_changed
+
+
+def _is_settled(expression: Any, function: Any, argument_types: Any) -> bool:
+    """Return whether ``expression`` asks if an argument is None whose type has no None."""
+    if not (isinstance(expression, ir.Expr) and expression.op == "binop"):
+        return False
+    if expression.fn not in (operator.is_, operator.is_not):
+        return False
+    left, right = (
+        _ANALYSIS.guard(_ANALYSIS.get_definition, function, side)
+        for side in (expression.lhs, expression.rhs)
+    )
+    if not (isinstance(left, ir.Arg) and isinstance(right, ir.Const) and right.value is None):
+        return False
+    may_be_none = (types.NoneType, types.Optional, types.Omitted)
+    return not isinstance(argument_types[left.index], may_be_none)
+
+
+class _Compiler(CompilerBase):
+    """numba's compiler, with `_DecideIsNone` before its first two passes that leave out branches.
+
+    Before the second of them, `inlined` functions have become a part of the kernel.
+    """
+
+    def define_pipelines(self) -> list[Any]:
+        """Return numba's passes with ours among them."""
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)  # type: ignore[no-untyped-call]
+        passes.add_pass_after(_DecideIsNone, RewriteSemanticConstants)
+        passes.add_pass_after(_DecideIsNone, InlineInlinables)
+        passes.finalize()
+        return [passes]
+
+
+def _in_large_frame(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Return ``function(*arguments)``, for which Python's stack has room without growing.
+
+    Since version 3.11 Python keeps the frames of functions in blocks of 16 KiB. A loop that calls
+    functions at the end of a block maps and unmaps the next block at each call. numba has such
+    loops: it took a fifth of the time that compiling for terrain takes. A frame as large as this
+    one gets a block of its own, in which the frames of the functions that it calls follow.
+    """
+    return function(*arguments)
+
+
+_LARGE_FRAME = 70_000
+"""Slots of a frame, of 8 bytes each. It gets the next power of two, 1 MiB, of which 450 KiB are
+left for numba. Memory that is not used does not become memory of the process."""
+
+_in_large_frame.__code__ = _in_large_frame.__code__.replace(co_stacksize=_LARGE_FRAME)
+
+
 def _cached(function: F, inline: str) -> F:
     """Return ``function`` as a dispatcher of numba, which compiles it into the cache folder.
 
@@ -215,10 +303,15 @@ def _cached(function: F, inline: str) -> F:
     # The wrappers that numba could compile for calls from C would take time, and nothing uses them.
     # numba's stub does not know the option.
     dispatcher = numba.njit(  # type: ignore[call-overload]
-        nogil=True, error_model="numpy", no_cfunc_wrapper=True, inline=inline
+        nogil=True,
+        error_model="numpy",
+        no_cfunc_wrapper=True,
+        inline=inline,
+        pipeline_class=_Compiler,
     )(function)
     if COMPILED:
         _ignore_constants(dispatcher)
+        dispatcher.compile = partial(_in_large_frame, dispatcher.compile)
     if _CACHED and COMPILED:
         # numba reads its cache folder from a setting of the whole process, when caching is enabled.
         previous_folder = _CONFIG.CACHE_DIR

@@ -7,6 +7,7 @@ from __future__ import annotations
 import ast
 import gc
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -355,6 +356,69 @@ def test_constants_are_no_flavours_of_their_own() -> None:
 
 
 @pytest.mark.slow
+def test_a_kernel_has_only_the_branch_of_its_argument() -> None:
+    """What numba could not compile for an argument does no harm in the branch for None."""
+
+    @kernel
+    def sum_or_zero(numbers: Any) -> Any:
+        if numbers is None:
+            return np.there_is_no_such_thing(numbers)  # type: ignore[attr-defined]
+        return numbers.sum()
+
+    @kernel
+    def zero_or_length(numbers: Any) -> Any:
+        if numbers is not None:
+            return numbers.there_is_no_such_thing()
+        return 0
+
+    assert sum_or_zero(np.arange(4)) == 6
+    assert zero_or_length(None) == 0
+    for function, argument in ((sum_or_zero, None), (zero_or_length, np.arange(4))):
+        with pytest.raises(numba.TypingError, match="there_is_no_such_thing"):
+            function(argument)
+
+
+def test_an_argument_that_may_be_none_keeps_both_branches() -> None:
+    """An argument is decided by its value if its type has None."""
+
+    @kernel
+    def is_given(number: Any) -> Any:
+        return number is not None
+
+    @kernel
+    def pass_on(number: int) -> Any:
+        return is_given(number if number > 0 else None)
+
+    assert (pass_on(1), pass_on(-1)) == (True, False)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="counts page faults")
+def test_calls_do_not_map_memory_again_and_again() -> None:
+    """Wherever a loop of calls begins on Python's stack, numba has room below a large frame."""
+
+    def loop() -> None:
+        for _ in range(1000):
+            nothing()
+
+    def nothing() -> None:
+        pass
+
+    def at_depth(depth: int) -> None:
+        if depth:
+            at_depth(depth - 1)
+        else:
+            loop()
+
+    def page_faults(depth: int) -> int:
+        before = resource.getrusage(resource.RUSAGE_THREAD).ru_minflt
+        jit._in_large_frame(at_depth, depth)
+        return resource.getrusage(resource.RUSAGE_THREAD).ru_minflt - before
+
+    # Without the large frame there are more than 1,000 page faults at one of these depths.
+    page_faults(300)  # touches the memory for the first time
+    assert max(page_faults(depth) for depth in range(300)) < 200
+
+
 def test_all_fields_are_those_of_plain_python(tmp_path: Path) -> None:
     """Compiled kernels neither wrap around, nor read beyond an array, where Python would not."""
     program = [sys.executable, served_fields.__file__, str(tmp_path / "plain.npz")]

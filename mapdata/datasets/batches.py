@@ -25,9 +25,9 @@ from mapdata.limits import MAX_ROOMS, SPLITS
 from mapdata.movement import STEPS, Movement
 from mapdata.problems.sources import Random, Route, Source
 from mapdata.search.footprint import inflate_all, min_squared_clearance
-from mapdata.search.kernels import new_scratch
+from mapdata.search.kernels import Scratch, search_memory
 from mapdata.search.labels import connected_components, pairs_of
-from mapdata.search.lattice import BFS, UNIT, MoveRule, cells_of, lattice_of, load
+from mapdata.search.lattice import UNIT, Lattice, cells_of, load
 from mapdata.shards.arrays import Shard, bits_per_move
 from mapdata.shards.errors import ShardError
 from mapdata.shards.locations import Locations
@@ -375,7 +375,8 @@ def connected_problems(
     problems: Int32s,
     size: tuple[Int, Int],
     min_clearance: Int,
-    rule: MoveRule,
+    lattice: Lattice,
+    scratch: Scratch,
 ) -> Flags:
     """Return whether a path connects the two rooms of each problem of a shard, (P,) bool.
 
@@ -388,7 +389,8 @@ def connected_problems(
         size: (rows, columns) of a map.
         min_clearance: clearance of the cells that are free for the robot, as `inflate_all` takes
             it.
-        rule: rule of movement.
+        lattice: of the maps.
+        scratch: memory of the searches.
     """
     packed_maps = _array(table[shard, _MAPS], np.uint8)
     words_per_row = (size[1] + WORD - 1) // WORD
@@ -396,8 +398,6 @@ def connected_problems(
     room_offsets = _array(table[shard, _ROOM_OFFSETS], np.int64)
     seeds = _cells(table[shard, _SEEDS])
     grids = np.empty((1, size[0], size[1]), np.uint8)
-    lattice = lattice_of(size, rule)
-    scratch = new_scratch(BFS, lattice)
     components = np.empty(0, np.int64)  # of the rooms of the labelled map
     connected = np.empty(len(problems), np.bool_)
     labelled_map: Int = -1
@@ -579,7 +579,7 @@ class BatchReader:
         # Diagonal moves connect more cells than straight ones only if they cut corners. Then the
         # rule has diagonals of kind 2; a path need not be optimal here, so each move costs 1.
         diagonals = 2 if self._cuts_corners else 0
-        rule = (diagonals, UNIT)
+        lattice, scratch = search_memory(self.map_size, (diagonals, UNIT))
         for k in range(len(self.shards)):
             self.open(k)
             first, stop = self.offsets[k : k + 2].tolist()
@@ -589,7 +589,8 @@ class BatchReader:
                 self._rows[first:stop],
                 self.map_size,
                 self.min_clearance,
-                rule,
+                lattice,
+                scratch,
             )
         return np.flatnonzero(connected)
 

@@ -26,14 +26,11 @@ from mapdata.search.ground import (
     load_terrain,
     unit_of,
 )
-from mapdata.search.kernels import Scratch, new_scratch
+from mapdata.search.kernels import Scratch
 from mapdata.search.lattice import (
-    ASTAR,
     Lattice,
-    MoveRule,
     cell_at,
     cells_of,
-    lattice_of,
     position,
 )
 from mapdata.search.solving import shortest_costs_on
@@ -151,7 +148,8 @@ def fill_goal_fields(
     cell_costs: Bytes | None,
     starts: Ints,
     goals: Ints,
-    rule: MoveRule,
+    lattice: Lattice,
+    scratch: Scratch,
     fields: GoalFields,
 ) -> tuple[Int, Int]:
     """Fill those of the fields that are not empty, by one search from the goal of each problem.
@@ -161,13 +159,12 @@ def fill_goal_fields(
         cell_costs: as from `as_ground`.
         starts: (B, 2) cells.
         goals: (B, 2) cells.
-        rule: as `move_rule` returns it.
+        lattice: of the maps.
+        scratch: memory of the searches.
         fields: to be filled.
     """
     cost_to_go, optimal_moves, heuristic_ratio, optimal_mask = fields
     count, rows, columns = maps.shape
-    lattice = lattice_of((rows, columns), rule)
-    scratch = new_scratch(ASTAR, lattice)
     moves = scratch.came_from
     needs_costs = len(cost_to_go) + len(heuristic_ratio) > 0
     for b in range(count):
@@ -312,7 +309,8 @@ def path_probabilities(
     goals: Ints,
     cells: Ints,
     offsets: Ints,
-    rule: MoveRule,
+    lattice: Lattice,
+    scratch: Scratch,
 ) -> tuple[Float32s, Int, Int]:
     """Return TransPath's path probability maps, (B, 1, H, W) float32.
 
@@ -326,11 +324,10 @@ def path_probabilities(
         goals: (B, 2) cells.
         cells: (M, 2), the cells of all paths, one after another.
         offsets: (B + 1,) where each path begins in there.
-        rule: as `move_rule` returns it.
+        lattice: of the maps.
+        scratch: memory of the searches.
     """
     count, rows, columns = maps.shape
-    lattice = lattice_of((rows, columns), rule)
-    scratch = new_scratch(ASTAR, lattice)
     from_start = np.empty((rows, columns))
     to_goal = np.empty((rows, columns))
     to_path = np.empty((rows, columns))
@@ -375,7 +372,7 @@ def _write_costs(
 
 @kernel
 def fill_room_matrices(
-    maps: Bytes, cell_costs: Bytes | None, seed_points: Ints, rule: MoveRule
+    maps: Bytes, cell_costs: Bytes | None, seed_points: Ints, lattice: Lattice, scratch: Scratch
 ) -> tuple[Float32s, Int, Int]:
     """Return (B, R, R) float32 of costs between seed points.
 
@@ -385,11 +382,10 @@ def fill_room_matrices(
         maps: (B, H, W) grids or terrain.
         cell_costs: as from `as_ground`.
         seed_points: (B, R, 2) cells, -1 beyond the rooms of a map.
-        rule: as `move_rule` returns it.
+        lattice: of the maps.
+        scratch: memory of the searches.
     """
     count = len(maps)
-    lattice = lattice_of(maps.shape[1:], rule)
-    scratch = new_scratch(ASTAR, lattice)
     max_rooms = seed_points.shape[1]
     matrices = np.full((count, max_rooms, max_rooms), NO_ROOM, np.float32)
     for b in range(count):

@@ -31,6 +31,7 @@ from mapdata.problems.symmetry import transform_grids
 from mapdata.search.api import SEARCHES, check_cost, search_terrains, solve_batch
 from mapdata.search.footprint import clearances, without_occupied
 from mapdata.search.ground import as_ground
+from mapdata.search.kernels import search_memory
 from mapdata.search.lattice import UNIT, move_rule
 from mapdata.search.lattice import hardness as hardness_of
 from mapdata.search.taut import NOT_FREE, robot_of, write_waypoints
@@ -246,7 +247,12 @@ class Batch:
         rule = move_rule(self.movement)
         maps, cell_costs = as_ground(self.grids, self.terrain)
         row, high_cost = fill_goal_fields(
-            maps, cell_costs, self.starts, self.goals, rule, goal_fields
+            maps,
+            cell_costs,
+            self.starts,
+            self.goals,
+            *search_memory(maps.shape[1:], rule),
+            goal_fields,
         )
         if high_cost:  # Otherwise the numbers of the maps are not needed, which may be dear.
             check_cost(self.map_numbers, row, high_cost)
@@ -400,7 +406,13 @@ def path_probability(batch: Batch) -> Float32s:
     rule = move_rule(batch.movement)
     maps, cell_costs = as_ground(batch.grids, batch.terrain)
     probabilities, row, high_cost = path_probabilities(
-        maps, cell_costs, batch.starts, batch.goals, cells, offsets, rule
+        maps,
+        cell_costs,
+        batch.starts,
+        batch.goals,
+        cells,
+        offsets,
+        *search_memory(maps.shape[1:], rule),
     )
     if high_cost:  # Otherwise the numbers of the maps are not needed, which may be dear.
         check_cost(batch.map_numbers, row, high_cost)
@@ -668,7 +680,8 @@ def room_matrices(search: str, grids: Bytes, seed_points: Ints, movement: Moveme
     diagonals, diagonal_cost = move_rule(movement)
     if search == "bfs":
         diagonal_cost = UNIT
-    matrices, _, _ = fill_room_matrices(grids, None, seed_points, (diagonals, diagonal_cost))
+    lattice, scratch = search_memory(grids.shape[1:], (diagonals, diagonal_cost))
+    matrices, _, _ = fill_room_matrices(grids, None, seed_points, lattice, scratch)
     return matrices
 
 
@@ -688,6 +701,7 @@ def terrain_room_matrices(
     """
     maps, cell_costs = as_ground(terrain, terrain)
     rule = move_rule(movement)
-    matrices, row, high_cost = fill_room_matrices(maps, cell_costs, seed_points, rule)
+    lattice, scratch = search_memory(maps.shape[1:], rule)
+    matrices, row, high_cost = fill_room_matrices(maps, cell_costs, seed_points, lattice, scratch)
     check_cost(map_numbers, row, high_cost)
     return matrices

@@ -26,14 +26,11 @@ from mapdata.search.ground import (
     load_map,
     unit_of,
 )
-from mapdata.search.kernels import Scratch, new_scratch
+from mapdata.search.kernels import Scratch, search_memory
 from mapdata.search.lattice import (
-    ASTAR,
     UNSEEN,
     Lattice,
-    MoveRule,
     cell_at,
-    lattice_of,
     move_rule,
     position,
     split_cost,
@@ -90,7 +87,10 @@ def see_values(
     is_length_alone = problems.distance is None and problems.hardness is None
     if terrain is None or problems.length is None or not is_length_alone:
         maps, cell_costs = as_ground(grids, terrain)
-        see_starts(seen, maps, cell_costs, goals, key, epoch, indices, draws, bands, rule)
+        lattice, scratch = search_memory(grids.shape[1:], rule)
+        see_starts(
+            seen, maps, cell_costs, goals, key, epoch, indices, draws, bands, lattice, scratch
+        )
     if terrain is None or problems.length is None:
         return
     distances, ratios, _ = problems.bands
@@ -122,14 +122,13 @@ def see_starts(
     indices: Ints,
     draws: tuple[Int, Int],
     bands: Floats,
-    rule: MoveRule,
+    lattice: Lattice,
+    scratch: Scratch,
 ) -> None:
     """Do what `see_values` does, on terrain for distance and hardness alone.
 
     ``maps`` and ``cell_costs`` are from `as_ground`; ``bands`` is (3, 2).
     """
-    lattice = lattice_of(maps.shape[1:], rule)
-    scratch = new_scratch(ASTAR, lattice)
     for b in range(len(maps)):
         load_map(maps[b], cell_costs, lattice, scratch.came_from)
         free_cells = np.flatnonzero(scratch.came_from == UNSEEN)

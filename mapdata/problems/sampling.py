@@ -39,13 +39,12 @@ from mapdata.search.jump_points import find_free_neighbours, jump_costs
 from mapdata.search.kernels import (
     Scratch,
     count_moves,
-    new_scratch,
+    search_memory,
     shortest_costs,
     with_capacity,
     write_cells,
 )
 from mapdata.search.lattice import (
-    ASTAR,
     CORNER_CUTTING,
     INFINITY,
     MAX_PATH_COST,
@@ -60,9 +59,7 @@ from mapdata.search.lattice import (
     diagonal_moves,
     heuristic,
     in_cells,
-    lattice_of,
     load,
-    plain_lattice,
     position,
     split_cost,
 )
@@ -118,7 +115,7 @@ def sample_problems(
     wide_limits = None
     neighbours = None
     cell_costs = None
-    lattice = plain_lattice(grids.shape[1:], rule)
+    lattice, scratch = search_memory(grids.shape[1:], rule)
     all_bands = ((min_distance, math.inf), OPEN, OPEN) if bands is None else bands
     if terrains is not None:
         cell_costs = np.zeros(lattice.cells, np.uint8)
@@ -142,7 +139,8 @@ def sample_problems(
         wide_limits,
         neighbours,
         cell_costs,
-        rule,
+        lattice,
+        scratch,
     )
     return ends, row, high_cost
 
@@ -161,7 +159,8 @@ def _sample(
     wide_limits: Ints | None,
     neighbours: Bytes | None,
     cell_costs: Bytes | None,
-    rule: MoveRule,
+    lattice: Lattice,
+    scratch: Scratch,
 ) -> tuple[Ints, Int, Int]:
     """Do the work of `sample_problems`, whose arguments and results these are, but for these.
 
@@ -170,8 +169,6 @@ def _sample(
     neighbours. Under 8 neighbours ``wide_limits`` are these, and ``neighbours`` (cells,) zeros.
     ``cell_costs`` are (cells,) zeros for terrain.
     """
-    lattice = lattice_of(maps.shape[1:], rule)
-    scratch = new_scratch(ASTAR, lattice)
     count = len(maps)
     ends = np.full((count, 4), -1)
     lengths = bands[2]
@@ -621,7 +618,7 @@ def solve_pairs(
         keep_unsolvable,
         weights,
         diagonals,
-        rule,
+        *search_memory(grids.shape[1:], rule),
     )
     return ends, solved
 
@@ -639,15 +636,14 @@ def _solve_pairs(
     keep_unsolvable: Int,
     weights: CostWeights,
     diagonals: Int | None,
-    rule: MoveRule,
+    lattice: Lattice,
+    scratch: Scratch,
 ) -> tuple[Ints, Solved]:
     """Do the work of `solve_pairs`; ``maps`` and ``cell_costs`` are from `as_ground`.
 
     ``diagonals`` are those of the rule, from `diagonal_moves`; None on terrain.
     """
     count = len(maps)
-    lattice = lattice_of(maps.shape[1:], rule)
-    scratch = new_scratch(weights, lattice)
     ends = np.full((count, 4), -1)
     sums = np.zeros((count, 2), np.int64)
     sums[:, 0] = -1

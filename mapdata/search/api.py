@@ -21,9 +21,11 @@ from mapdata.movement import Movement, check_movement
 from mapdata.search.ground import as_ground
 from mapdata.search.jump_points import jump_to_goals
 from mapdata.search.kernels import (
+    Scratch,
     copy_to_bytes,
     first_bad_cell,
-    plain_scratch_bytes,
+    plain_scratch_view,
+    scratch_bytes,
 )
 from mapdata.search.landmarks import solve_with_landmarks
 from mapdata.search.lattice import (
@@ -33,9 +35,11 @@ from mapdata.search.lattice import (
     MAX_PATH_COST,
     UNIT,
     CostWeights,
+    Lattice,
     MoveRule,
     diagonal_moves,
     move_rule,
+    plain_lattice,
 )
 from mapdata.search.solving import (
     Solved,
@@ -293,7 +297,7 @@ def solve_by_jump_points(
     rule = move_rule(movement)
     grid_stack, start_cells, goal_cells = _as_problems(grids, starts, goals)
     cells, moves, expansions, looks, offsets, done = jump_to_goals(
-        grid_stack, start_cells, goal_cells, rule, _scratch_memory(grid_stack, rule)
+        grid_stack, start_cells, goal_cells, *_lattice_and_scratch(grid_stack, rule)
     )
     _check_all_done(done, grid_stack, start_cells, goal_cells)
     costs = _costs_of_moves(moves, movement)
@@ -323,8 +327,8 @@ def solve_by_goal_fields(
     grid_stack, start_cells, goal_cells = _as_problems(grids, starts, goals)
     terrains = None if terrain is None else _as_terrain_stack(terrain, grid_stack)
     maps, cell_costs = as_ground(grid_stack, terrains)
-    memory = _scratch_memory(grid_stack, rule)
-    solved = follow_goal_fields(maps, cell_costs, start_cells, goal_cells, rule, memory)
+    lattice, scratch = _lattice_and_scratch(grid_stack, rule)
+    solved = follow_goal_fields(maps, cell_costs, start_cells, goal_cells, lattice, scratch)
     _check_all_solved(solved, grid_stack, start_cells, goal_cells)
     paths = _as_batch_result(solved, terrains, movement)
     return paths._replace(iterations=np.diff(solved.offsets)), solved.expansions
@@ -348,7 +352,7 @@ def solve_by_landmarks(
     rule = move_rule(movement)
     grid_stack, start_cells, goal_cells = _as_problems(grids, starts, goals)
     solved, prepared = solve_with_landmarks(
-        grid_stack, start_cells, goal_cells, landmarks, rule, _scratch_memory(grid_stack, rule)
+        grid_stack, start_cells, goal_cells, landmarks, *_lattice_and_scratch(grid_stack, rule)
     )
     _check_all_solved(solved, grid_stack, start_cells, goal_cells)
     return _as_batch_result(solved, None, movement), prepared
@@ -395,8 +399,7 @@ def _solve(
         int(allow_occupied_ends),
         weights,
         diagonals,
-        rule,
-        _scratch_memory(maps, rule),
+        *_lattice_and_scratch(maps, rule),
     )
 
 
@@ -630,13 +633,19 @@ def _scratch_memory(grid: Bytes, rule: MoveRule) -> Bytes:
     rows, columns = grid.shape[-2:]
     diagonals, _ = rule
     max_pushes_per_cell = 8 if diagonals else 4
-    size = plain_scratch_bytes(max_pushes_per_cell, (rows + 2) * (columns + 2))
+    size = scratch_bytes(max_pushes_per_cell, (rows + 2) * (columns + 2))
     memory = _thread_scratch.memory
     if size > len(memory):
         memory = np.empty(size, np.uint8)
         if size <= MAX_KEPT_BYTES:
             _thread_scratch.memory = memory
     return memory
+
+
+def _lattice_and_scratch(maps: Bytes, rule: MoveRule) -> tuple[Lattice, Scratch]:
+    """Return the lattice of ``maps`` (B, H, W), and `_scratch_memory` for any search on it."""
+    lattice = plain_lattice(maps.shape[1:], rule)
+    return lattice, plain_scratch_view(_scratch_memory(maps, rule), lattice)
 
 
 def as_grid(grid: ArrayLike, rank: int) -> Bytes:

@@ -134,7 +134,7 @@ def terrain_heuristic(rows: Int, columns: Int, padded: PaddedTerrain, lattice: L
     return min(MAX_COST, (straight + diagonal) * doubled_min_cost)
 
 
-@kernel
+@inlined
 def load_map(
     map_: Bytes, cell_costs: Bytes | None, lattice: Lattice, came_from: Bytes
 ) -> tuple[Int, PaddedTerrain | None]:

@@ -38,7 +38,6 @@ from mapdata.search.kernels import (
     Scratch,
     insert_in_heap,
     remove_heap_top,
-    scratch_view,
     with_capacity,
 )
 from mapdata.search.lattice import (
@@ -51,11 +50,9 @@ from mapdata.search.lattice import (
     UNSEEN,
     WALL,
     Lattice,
-    MoveRule,
     cell_at,
     count_path_cells,
     heuristic,
-    lattice_of,
     load,
     position,
     split_cost,
@@ -308,7 +305,7 @@ def _count_passed(states: Bytes) -> Int:
 
 @kernel
 def jump_to_goals(
-    grids: Bytes, starts: Ints, goals: Ints, rule: MoveRule, memory: Bytes
+    grids: Bytes, starts: Ints, goals: Ints, lattice: Lattice, scratch: Scratch
 ) -> tuple[Ints, Ints, Ints, Ints, Ints, Int]:
     """Run jump point search from ``starts[b]`` to ``goals[b]`` on ``grids[b]``, for B problems.
 
@@ -316,8 +313,8 @@ def jump_to_goals(
         grids: (B, H, W), or (1, H, W) for a grid that all problems share.
         starts: (B, 2) cells.
         goals: (B, 2) cells.
-        rule: which moves are legal; diagonal ones among them.
-        memory: for a `Scratch` with room for eight pushes a cell. A scan pushes at most one cell,
+        lattice: of the maps, with diagonals.
+        scratch: memory with room for eight pushes a cell. A scan pushes at most one cell,
             and each of the eight moves of a cell is scanned at most once.
 
     Returns:
@@ -328,8 +325,6 @@ def jump_to_goals(
         end is outside or occupied, or the grid holds other numbers than 0 and 1.
     """
     count = len(starts)
-    lattice = lattice_of(grids.shape[1:], rule)
-    scratch = scratch_view(memory, lattice)
     jumps = Jumps(
         np.empty(lattice.cells, np.uint8),
         np.empty(lattice.cells, np.uint32),

@@ -37,7 +37,6 @@ from mapdata.arrays import Bytes, Ints, UInt32s
 from mapdata.jit import Int, inlined, kernel
 from mapdata.movement import STEPS
 from mapdata.search.lattice import (
-    BFS,
     CLOSED,
     CORNER_CUTTING,
     INFINITY,
@@ -49,11 +48,12 @@ from mapdata.search.lattice import (
     UNIT_BITS,
     UNSEEN,
     WALL,
-    CostWeights,
     Lattice,
+    MoveRule,
     heuristic,
     is_binary,
     is_legal,
+    plain_lattice,
     position,
 )
 
@@ -670,10 +670,10 @@ def plain_scratch_view(memory: Bytes, lattice: Lattice) -> Scratch:
 
 
 scratch_view = kernel(plain_scratch_view)
-"""`plain_scratch_view` as a kernel."""
+"""`plain_scratch_view` as a kernel, for the kernels that solve one problem."""
 
 
-def plain_scratch_bytes(max_pushes_per_cell: Int, cells: Int) -> Int:
+def scratch_bytes(max_pushes_per_cell: Int, cells: Int) -> Int:
     """Return how many bytes a `Scratch` takes in which each cell is pushed up to so many times.
 
     `plain_scratch_view` explains the sizes. The last 32 bytes are for two more pushes: the start,
@@ -682,29 +682,17 @@ def plain_scratch_bytes(max_pushes_per_cell: Int, cells: Int) -> Int:
     return (9 + 16 * max_pushes_per_cell) * cells + 32
 
 
-scratch_bytes = inlined(plain_scratch_bytes)
-"""`plain_scratch_bytes` as a part of kernels."""
+def search_memory(shape: tuple[Int, Int], rule: MoveRule) -> tuple[Lattice, Scratch]:
+    """Return the lattice of maps of ``shape`` (rows, columns), and new memory for any search on it.
 
-
-@kernel
-def new_scratch(weights: CostWeights, lattice: Lattice) -> Scratch:
-    """Return memory for `search_loaded` with these weights; for `shortest_costs`, use ASTAR.
-
-    It is one block, because malloc would give some of several blocks back to the system after each
-    call.
+    Kernels for many problems take both from Python, because a kernel that makes them takes half a
+    second more to compile. The memory is one block, because malloc would give some of several
+    blocks back to the system after each call.
     """
-    # BFS pushes a cell once, the other searches at most once from each neighbour.
-    max_pushes_per_cell = len(lattice.offsets)
-    if weights is not None and weights == BFS:
-        max_pushes_per_cell = 1
-    size = scratch_bytes(max_pushes_per_cell, lattice.cells)
-    return scratch_view(np.empty(size, np.uint8), lattice)
-
-
-def plain_new_scratch(lattice: Lattice) -> Scratch:
-    """Return memory for any search, as `new_scratch` does, without compiling."""
-    size = plain_scratch_bytes(len(lattice.offsets), lattice.cells)
-    return plain_scratch_view(np.empty(size, np.uint8), lattice)
+    lattice = plain_lattice(shape, rule)
+    # A search pushes a cell at most once from each neighbour.
+    size = scratch_bytes(len(lattice.offsets), lattice.cells)
+    return lattice, plain_scratch_view(np.empty(size, np.uint8), lattice)
 
 
 @kernel

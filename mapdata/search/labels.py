@@ -24,7 +24,7 @@ from mapdata.search.kernels import (
     count_moves,
     expansions_until,
     flood,
-    plain_new_scratch,
+    search_memory,
     wipe,
     write_moves,
 )
@@ -37,7 +37,6 @@ from mapdata.search.lattice import (
     Lattice,
     load,
     move_rule,
-    plain_lattice,
 )
 from mapdata.search.solving import search_loaded, shortest_costs_on
 
@@ -255,8 +254,7 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
     has_astar_costs = has_diagonals or terrain is not None
     astar_costs = np.empty_like(bfs_costs) if has_astar_costs else None
     size = maps.packed.shape[1], maps.columns
-    lattice = plain_lattice(size, move_rule(maps.movement))
-    scratch = plain_new_scratch(lattice)
+    lattice, scratch = search_memory(size, move_rule(maps.movement))
     bfs_moves = []
     astar_moves = []
     batch_size = max(_MIN_MAPS_AT_ONCE, _CELLS_AT_ONCE // (size[0] * size[1]))

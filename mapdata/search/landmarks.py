@@ -22,7 +22,6 @@ from mapdata.search.kernels import (
     best_first_heap,
     count_moves,
     flood,
-    scratch_view,
     shortest_costs,
     with_capacity,
     write_cells,
@@ -31,10 +30,8 @@ from mapdata.search.lattice import (
     INFINITY,
     UNSEEN,
     Lattice,
-    MoveRule,
     cell_at,
     count_path_cells,
-    lattice_of,
     load,
 )
 from mapdata.search.solving import Solved
@@ -119,7 +116,7 @@ def landmark_costs(grid: Bytes, count: Int, lattice: Lattice, scratch: Scratch) 
 
 @kernel
 def solve_with_landmarks(
-    grids: Bytes, starts: Ints, goals: Ints, landmarks: Int, rule: MoveRule, memory: Bytes
+    grids: Bytes, starts: Ints, goals: Ints, landmarks: Int, lattice: Lattice, scratch: Scratch
 ) -> tuple[Solved, Ints]:
     """Search problem b from ``starts[b]`` to ``goals[b]`` on ``grids[b]`` by A* with landmarks.
 
@@ -128,16 +125,14 @@ def solve_with_landmarks(
         starts: (B, 2) cells.
         goals: (B, 2) cells.
         landmarks: the largest number of landmarks on a map.
-        rule: which moves are legal.
-        memory: for the `Scratch` of the searches.
+        lattice: of the maps.
+        scratch: memory of the searches.
 
     Returns:
         The paths; and the numbers of cells, (B,), that floods visited to place the landmarks of
         each problem: on a map that all problems share, 0 after the first problem.
     """
     count = len(starts)
-    lattice = lattice_of(grids.shape[1:], rule)
-    scratch = scratch_view(memory, lattice)
     sums = np.empty((count, 2), np.int64)
     expansions = np.empty(count, np.int64)
     prepared = np.zeros(count, np.int64)

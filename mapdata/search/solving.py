@@ -155,9 +155,23 @@ def search_loaded(
     straight: Int = -1
     diagonal: Int = 0
     if came_from[start] != WALL and came_from[goal] != WALL:
-        expansions, pushes, high_cost = _expand(
-            start, goal, weights, diagonals, ground, lattice, scratch
-        )
+        if ground is None:
+            if weights is None:
+                if diagonals is None:
+                    expansions, pushes = astar_manhattan(start, goal, lattice, scratch)
+                else:
+                    expansions, pushes = best_first_buckets(start, goal, lattice, scratch)
+            elif weights == BFS:
+                queue_length = flood(start, np.full(1, goal), lattice, scratch)
+                expansions = expansions_until(scratch.pushed, queue_length, goal)
+            else:
+                expansions, pushes = best_first_heap(start, goal, weights, None, lattice, scratch)
+        elif weights is None:
+            expansions, pushes, high_cost = terrain_astar(start, goal, ground, lattice, scratch)
+        else:
+            expansions, pushes, high_cost = terrain_best_first(
+                start, goal, weights, ground, lattice, scratch
+            )
         straight, diagonal = count_moves(came_from, start, goal, lattice)
     length = count_path_cells(straight, diagonal)
     if weights is not None and ground is None and weights == BFS:
@@ -166,33 +180,6 @@ def search_loaded(
     if ground is not None and length:
         straight, diagonal = sums_of_path(came_from, start, goal, ground, lattice)
     return Found(length, straight, diagonal, expansions, pushes, high_cost)
-
-
-@kernel
-def _expand(
-    start: Int,
-    goal: Int,
-    weights: CostWeights,
-    diagonals: Int | None,
-    ground: PaddedTerrain | None,
-    lattice: Lattice,
-    scratch: Scratch,
-) -> tuple[Int, Int, Int]:
-    """Expand cells until ``goal`` is found; return the last three numbers of `Found`."""
-    if ground is not None:
-        if weights is None:
-            return terrain_astar(start, goal, ground, lattice, scratch)
-        return terrain_best_first(start, goal, weights, ground, lattice, scratch)
-    if weights is not None:
-        if weights == BFS:
-            queue_length = flood(start, np.full(1, goal), lattice, scratch)
-            return expansions_until(scratch.pushed, queue_length, goal), np.int64(1), EXACT
-        expansions, pushes = best_first_heap(start, goal, weights, None, lattice, scratch)
-    elif diagonals is None:
-        expansions, pushes = astar_manhattan(start, goal, lattice, scratch)
-    else:
-        expansions, pushes = best_first_buckets(start, goal, lattice, scratch)
-    return expansions, pushes, EXACT
 
 
 # --- many problems ------------------------------------------------------------------------------
@@ -207,8 +194,8 @@ def solve_problems(
     allow_occupied_ends: Int,
     weights: CostWeights,
     diagonals: Int | None,
-    rule: MoveRule,
-    memory: Bytes,
+    lattice: Lattice,
+    scratch: Scratch,
 ) -> Solved:
     """Search problem b from ``starts[b]`` to ``goals[b]`` on ``maps[b]``, for B problems.
 
@@ -220,13 +207,11 @@ def solve_problems(
         allow_occupied_ends: 1 if starts and goals may be occupied: such a problem has no path, and
             no cell is expanded. Otherwise 0.
         weights: which search; on terrain not BFS.
-        diagonals: those of the rule, from `diagonal_moves`.
-        rule: which moves are legal.
-        memory: for the `Scratch` of the search.
+        diagonals: those of the lattice, from `diagonal_moves`; None on terrain.
+        lattice: of the maps.
+        scratch: memory of the search.
     """
     count = len(starts)
-    lattice = lattice_of(maps.shape[1:], rule)
-    scratch = scratch_view(memory, lattice)
     sums = np.empty((count, 2), np.int64)
     expansions = np.empty(count, np.int64)
     offsets = np.zeros(count + 1, np.int64)
@@ -306,8 +291,8 @@ def follow_goal_fields(
     cell_costs: Bytes | None,
     starts: Ints,
     goals: Ints,
-    rule: MoveRule,
-    memory: Bytes,
+    lattice: Lattice,
+    scratch: Scratch,
 ) -> Solved:
     """Search problem b by A* whose heuristic is the exact cost to ``goals[b]``, for B problems.
 
@@ -320,15 +305,13 @@ def follow_goal_fields(
         cell_costs: (cells,), or None.
         starts: (B, 2).
         goals: (B, 2).
-        rule: which moves are legal.
-        memory: for the `Scratch` of `shortest_costs_on`.
+        lattice: of the maps.
+        scratch: memory of `shortest_costs_on`.
 
     Returns:
         The paths, with the numbers of free cells that reach the goal in place of expansions.
     """
     count = len(starts)
-    lattice = lattice_of(maps.shape[1:], rule)
-    scratch = scratch_view(memory, lattice)
     optimal_moves = scratch.came_from
     sums = np.empty((count, 2), np.int64)
     field_sizes = np.empty(count, np.int64)

@@ -20,6 +20,7 @@ from mapdata.datasets.field_kernels import (
 )
 from mapdata.search import search_batch
 from mapdata.search.ground import as_ground
+from mapdata.search.kernels import search_memory
 from mapdata.search.lattice import move_rule
 
 COUNT = 6
@@ -87,7 +88,11 @@ def test_goal_fields_on_terrain_equal_the_reference(movement: Movement, values: 
     problems = random_problems(values)
     fields = empty_fields()
     refused = fill_goal_fields(
-        *problems.ground, problems.starts, problems.goals, move_rule(movement), fields
+        *problems.ground,
+        problems.starts,
+        problems.goals,
+        *search_memory(problems.grids.shape[1:], move_rule(movement)),
+        fields,
     )
     assert refused == (COUNT, 0)
     for k in range(COUNT):
@@ -127,7 +132,11 @@ def test_path_probabilities_on_terrain_follow_their_formula(movement: Movement) 
     )
     ends = problems.starts, problems.goals
     probabilities, *refused = path_probabilities(
-        *problems.ground, *ends, paths.cells, paths.offsets, move_rule(movement)
+        *problems.ground,
+        *ends,
+        paths.cells,
+        paths.offsets,
+        *search_memory(problems.grids.shape[1:], move_rule(movement)),
     )
     assert refused == [COUNT, 0]
     for k in range(COUNT):
@@ -162,7 +171,9 @@ def test_room_matrices_on_terrain_hold_the_costs_between_seed_points(movement: M
     seed_points[:, 0] = problems.starts
     seed_points[:, 1] = problems.goals
     seed_points[:3, 2] = problems.goals[::-1][:3]
-    matrices, *refused = fill_room_matrices(*problems.ground, seed_points, move_rule(movement))
+    matrices, *refused = fill_room_matrices(
+        *problems.ground, seed_points, *search_memory(problems.grids.shape[1:], move_rule(movement))
+    )
     assert refused == [COUNT, 0]
     for k in range(COUNT):
         terrain = problems.terrains[k].tolist()
@@ -182,24 +193,24 @@ def test_room_matrices_on_terrain_hold_the_costs_between_seed_points(movement: M
 def test_fields_on_terrain_of_ones_are_those_without_terrain(movement: Movement) -> None:
     """The same bytes of all fields."""
     problems = random_problems([1])
-    rule = move_rule(movement)
+    memory = search_memory(problems.grids.shape[1:], move_rule(movement))
     on_ones, without = empty_fields(), empty_fields()
     ends = problems.starts, problems.goals
-    fill_goal_fields(*problems.ground, *ends, rule, on_ones)
-    fill_goal_fields(problems.grids, None, *ends, rule, without)
+    fill_goal_fields(*problems.ground, *ends, *memory, on_ones)
+    fill_goal_fields(problems.grids, None, *ends, *memory, without)
     for name in GoalFields._fields:
         assert getattr(on_ones, name).tobytes() == getattr(without, name).tobytes()
     paths = search_batch("astar", problems.grids, *ends, movement)
     probabilities, *_ = path_probabilities(
-        *problems.ground, *ends, paths.cells, paths.offsets, rule
+        *problems.ground, *ends, paths.cells, paths.offsets, *memory
     )
     expected_probabilities, *_ = path_probabilities(
-        problems.grids, None, *ends, paths.cells, paths.offsets, rule
+        problems.grids, None, *ends, paths.cells, paths.offsets, *memory
     )
     assert probabilities.tobytes() == expected_probabilities.tobytes()
     seed_points = np.stack((problems.starts, problems.goals), axis=1)
-    matrices, *_ = fill_room_matrices(*problems.ground, seed_points, rule)
-    expected_matrices, *_ = fill_room_matrices(problems.grids, None, seed_points, rule)
+    matrices, *_ = fill_room_matrices(*problems.ground, seed_points, *memory)
+    expected_matrices, *_ = fill_room_matrices(problems.grids, None, seed_points, *memory)
     assert matrices.tobytes() == expected_matrices.tobytes()
 
 
@@ -209,20 +220,20 @@ def test_a_map_whose_costs_are_too_high_is_reported() -> None:
     terrains[0] = 1
     starts = np.array([[0, 0], [0, 0]])
     goals = np.array([[0, 5], [0, 5]])
-    rule = move_rule(Movement(8))
+    memory = search_memory(terrains.shape[1:], move_rule(Movement(8)))
     empty = np.empty((0, 1, 1, 4200), np.float32)
     cost_to_go = np.empty((2, 1, 1, 4200), np.float32)
     no_bytes = empty.astype(np.uint8)
     fields = GoalFields(cost_to_go, no_bytes, empty, no_bytes)
     ground = as_ground((terrains == 0).astype(np.uint8), terrains)
-    number, high_cost = fill_goal_fields(*ground, starts, goals, rule, fields)
+    number, high_cost = fill_goal_fields(*ground, starts, goals, *memory, fields)
     assert number == 1
     assert high_cost >= 2**62
     cells = np.tile(np.stack((np.zeros(6, int), np.arange(6)), axis=1), (2, 1))
     offsets = np.array([0, 6, 12])
-    _, *refused = path_probabilities(*ground, starts, goals, cells, offsets, rule)
+    _, *refused = path_probabilities(*ground, starts, goals, cells, offsets, *memory)
     assert refused[0] == 1
     assert refused[1] >= 2**62
-    _, *refused = fill_room_matrices(*ground, np.stack((starts, goals), axis=1), rule)
+    _, *refused = fill_room_matrices(*ground, np.stack((starts, goals), axis=1), *memory)
     assert refused[0] == 1
     assert refused[1] >= 2**62

@@ -26,8 +26,8 @@ from mapdata import SearchResult, astar, bfs, check_path, distance_field, terrai
 from mapdata.evaluation import BestFirst
 from mapdata.movement import Movement
 from mapdata.search import api, search_batch
-from mapdata.search.kernels import new_scratch
-from mapdata.search.lattice import ASTAR, lattice_of, move_rule
+from mapdata.search.kernels import search_memory
+from mapdata.search.lattice import move_rule
 
 OCTILE = Movement(8)
 CUTTING = Movement(8, corner_cutting=True)
@@ -380,7 +380,7 @@ def test_scratch_memory_holds_the_most_that_a_search_can_push(
     monkeypatch.setattr(api, "_thread_scratch", api._ThreadScratch())
     rule = move_rule(movement)
     memory = api._scratch_memory(np.zeros(shape, np.uint8), rule)
-    scratch = new_scratch(ASTAR, lattice_of(shape, rule))
+    _, scratch = search_memory(shape, rule)
     assert len(memory) == sum(part.nbytes for part in scratch)
 
 

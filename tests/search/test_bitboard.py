@@ -28,8 +28,8 @@ from mapdata.search.bitboard import (
     nth_cell,
     write_optimal_moves,
 )
-from mapdata.search.kernels import new_scratch
-from mapdata.search.lattice import ASTAR, lattice_of, move_rule
+from mapdata.search.kernels import search_memory
+from mapdata.search.lattice import move_rule
 
 WORDS = [(7, 63), (7, 64), (7, 65), (6, 127), (6, 128), (6, 129), (5, 200), (200, 5), (66, 66)]
 """Rows of one word and of several, that they fill and that they do not."""
@@ -69,9 +69,8 @@ def assert_moves_are_the_references(grid: Bytes, goal: Cell, movement: Movement)
     bits, and with costs, when they are not.
     """
     expected = reference.reference_moves(grid.tolist(), goal, movement)
-    lattice = lattice_of(grid.shape, move_rule(movement))
     for needs_costs in (False, True):
-        scratch = new_scratch(ASTAR, lattice)
+        lattice, scratch = search_memory(grid.shape, move_rule(movement))
         write_optimal_moves(grid, *goal, needs_costs, lattice, scratch)
         with_border = scratch.came_from.reshape(-1, lattice.stride)
         moves = with_border[1:-1, 1:-1]

@@ -30,7 +30,7 @@ from mapdata.search.api import (
     solve_by_landmarks,
 )
 from mapdata.search.jump_points import find_free_neighbours, jump_costs
-from mapdata.search.kernels import plain_new_scratch
+from mapdata.search.kernels import search_memory
 from mapdata.search.lattice import (
     INFINITY,
     UNIT,
@@ -39,7 +39,6 @@ from mapdata.search.lattice import (
     cell_at,
     in_cells,
     move_rule,
-    plain_lattice,
 )
 
 EIGHT = MOVEMENTS[1:]
@@ -417,8 +416,7 @@ def test_costs_of_ten_thousand_maps_equal_those_of_astar(movement: Movement) -> 
 def costs_by_jumps(problem: Problem, movement: Movement, max_cost: int) -> dict[Cell, int]:
     """Return the costs of all cells to the goal by `jump_costs`, in 1 / UNIT, without INFINITY."""
     shape = problem.grid.shape
-    lattice = plain_lattice(shape, move_rule(movement))
-    scratch = plain_new_scratch(lattice)
+    lattice, scratch = search_memory(shape, move_rule(movement))
     walled = np.pad(problem.grid, 1, constant_values=1).reshape(-1)
     scratch.came_from[:] = np.where(walled, WALL, UNSEEN)
     neighbours = np.zeros(lattice.cells, np.uint8)

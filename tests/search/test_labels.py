@@ -19,9 +19,9 @@ from mapdata import Labels, Maps, MapSpec, generate, label
 from mapdata.movement import Movement
 from mapdata.search import labels as labels_module
 from mapdata.search.ground import as_ground, load_map
-from mapdata.search.kernels import new_scratch
+from mapdata.search.kernels import search_memory
 from mapdata.search.labels import _fill_costs
-from mapdata.search.lattice import ASTAR, cell_at, lattice_of, move_rule
+from mapdata.search.lattice import cell_at, move_rule
 
 SEARCHES: dict[str, reference.Search] = {
     "bfs": reference.reference_bfs,
@@ -261,8 +261,7 @@ def test_costs_without_a_path_take_the_place_of_what_memory_held(has_terrain: bo
     """(-1, 0), since the content hash covers both numbers; on terrain, costs are doubled."""
     grid = np.zeros((5, 9), np.uint8)
     grid[:, 4] = 1
-    lattice = lattice_of(grid.shape, move_rule(Movement(8)))
-    scratch = new_scratch(ASTAR, lattice)
+    lattice, scratch = search_memory(grid.shape, move_rule(Movement(8)))
     map_, cell_costs = as_ground(grid, 1 - grid if has_terrain else None)
     is_valid, ground = load_map(map_, cell_costs, lattice, scratch.came_from)
     assert is_valid

@@ -30,7 +30,7 @@ from mapdata.movement import Movement
 from mapdata.search import hardness, inflate, inflate_terrain, label, search_batch
 from mapdata.search.api import solve_batch
 from mapdata.search.ground import as_ground, load_terrain, terrain_heuristic
-from mapdata.search.kernels import plain_new_scratch
+from mapdata.search.kernels import search_memory
 from mapdata.search.lattice import (
     ASTAR,
     DIAGONAL,
@@ -39,7 +39,6 @@ from mapdata.search.lattice import (
     MoveRule,
     lattice_of,
     move_rule,
-    plain_lattice,
 )
 from mapdata.search.solving import solve_problems
 from mapdata.search.terrain import min_cell_costs, shortest_terrain_costs
@@ -103,8 +102,7 @@ def problems(draw: st.DrawFn) -> Problem:
 
 def optimal_moves(terrain: Bytes, goal: Cell, movement: Movement) -> Bytes:
     """Return the optimal moves of every cell as bit sets, (H, W) uint8."""
-    lattice = plain_lattice(terrain.shape, move_rule(movement))
-    scratch = plain_new_scratch(lattice)
+    lattice, scratch = search_memory(terrain.shape, move_rule(movement))
     padded = load_terrain(terrain, lattice, np.zeros(lattice.cells, np.uint8), scratch.came_from)
     cell = (goal[0] + 1) * lattice.stride + goal[1] + 1
     assert shortest_terrain_costs(np.array([cell]), padded, lattice, scratch) == 0
