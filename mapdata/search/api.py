@@ -620,9 +620,20 @@ def _search_on_terrain(
 
 
 class _ThreadScratch(threading.local):
-    """Scratch memory of each thread. Kernels run without the GIL, so threads cannot share it."""
+    """Scratch memory of each thread. Kernels run without the GIL, so threads cannot share it.
+
+    Attributes:
+        memory: the memory.
+        shape: rows and columns of the maps of the last call for many problems.
+        rule: rule of that call.
+        parts: the lattice of that call, and ``memory`` as its scratch. To make them takes as long
+            as to solve a few problems.
+    """
 
     memory = np.empty(0, np.uint8)
+    shape: tuple[int, ...] = ()
+    rule: MoveRule = (0, 0)
+    parts: tuple[Lattice, Scratch] | None = None
 
 
 _thread_scratch = _ThreadScratch()
@@ -639,13 +650,22 @@ def _scratch_memory(grid: Bytes, rule: MoveRule) -> Bytes:
         memory = np.empty(size, np.uint8)
         if size <= MAX_KEPT_BYTES:
             _thread_scratch.memory = memory
+            _thread_scratch.parts = None  # They are of the old memory, which would be kept, too.
     return memory
 
 
 def _lattice_and_scratch(maps: Bytes, rule: MoveRule) -> tuple[Lattice, Scratch]:
     """Return the lattice of ``maps`` (B, H, W), and `_scratch_memory` for any search on it."""
-    lattice = plain_lattice(maps.shape[1:], rule)
-    return lattice, plain_scratch_view(_scratch_memory(maps, rule), lattice)
+    kept = _thread_scratch
+    shape = maps.shape[1:]
+    if kept.parts is not None and kept.shape == shape and kept.rule == rule:
+        return kept.parts
+    memory = _scratch_memory(maps, rule)
+    lattice = plain_lattice(shape, rule)
+    parts = lattice, plain_scratch_view(memory, lattice)
+    if memory is kept.memory:
+        kept.shape, kept.rule, kept.parts = shape, rule, parts
+    return parts
 
 
 def as_grid(grid: ArrayLike, rank: int) -> Bytes:

@@ -384,6 +384,23 @@ def test_scratch_memory_holds_the_most_that_a_search_can_push(
     assert len(memory) == sum(part.nbytes for part in scratch)
 
 
+def test_maps_of_other_shapes_and_rules_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is kept of the last call serves only maps of the same shape under the same rule."""
+    monkeypatch.setattr(api, "_thread_scratch", api._ThreadScratch())
+    source = np.random.default_rng(5)
+    for k in range(60):
+        movement = (Movement(4), Movement(8), CUTTING)[k % 3]
+        shape = [(4, 7), (7, 4), (30, 2), (4, 7)][source.integers(4)]
+        grids = (source.random((2, *shape)) < 0.2).astype(np.uint8)
+        grids[:, 0, 0] = grids[:, -1, -1] = 0
+        starts, goals = np.zeros((2, 2), int), np.full((2, 2), shape) - 1
+        solved = search_batch("astar", grids, starts, goals, movement)
+        for b in range(2):
+            alone = astar(grids[b], starts[b], goals[b], movement)
+            cells = solved.cells[solved.offsets[b] : solved.offsets[b + 1]]
+            np.testing.assert_array_equal(cells, alone.path)
+
+
 # --- the path check -----------------------------------------------------------------------------
 
 
