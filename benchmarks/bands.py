@@ -17,6 +17,7 @@ from mapdata import Forest, Movement, Random, generate
 from mapdata.datasets import DRAWS
 from mapdata.problems import sample_problems
 from mapdata.search import move_rule
+from mapdata.search.map_stack import MapStack
 
 PACKAGES = ("mapdata-torch", "numpy", "numba")
 GOALS = (4, 8, 16, 32)
@@ -61,8 +62,7 @@ def case_rows(
         for goals in GOALS:
             began = time.process_time()
             ends, *_ = sample_problems(
-                grids,
-                None,
+                MapStack(grids, None),
                 None,
                 np.uint64(1),
                 0,

@@ -26,8 +26,9 @@ from mapdata.movement import STEPS, Movement
 from mapdata.problems.sources import Random, Route, Source
 from mapdata.search.footprint import inflate_all, min_squared_clearance
 from mapdata.search.kernels import Scratch, search_memory
-from mapdata.search.labels import connected_components, pairs_of
+from mapdata.search.labels import connected_components, connections_serve, pairs_of
 from mapdata.search.lattice import UNIT, Lattice, cells_of, load
+from mapdata.search.map_stack import MapStack
 from mapdata.shards.arrays import Shard, bits_per_move
 from mapdata.shards.errors import ShardError
 from mapdata.shards.locations import Locations
@@ -475,14 +476,11 @@ class BatchReader:
         self._problems = problems
         self._labels_decide = True
         if not isinstance(problems, Random) and not problems.unsolvable:
-            # Problems without a path are left out. The stored labels say which, unless the served
-            # maps and moves connect other cells. Straight moves alone connect the same cells as
-            # straight moves and diagonal ones that need two free cells beside them, because two
-            # straight moves can replace such a diagonal one. Cutting corners connects more cells.
-            # A radius occupies cells, so it connects fewer.
-            same_corners = self._cuts_corners == self.movement.corner_cutting
-            self._labels_decide = same_corners and self.min_clearance <= 1
-            if self._cuts_corners and not same_corners:
+            # Problems without a path are left out. The stored labels may say which.
+            self._labels_decide = connections_serve(
+                self.movement, served_movement, self.min_clearance
+            )
+            if self._cuts_corners and not self.movement.corner_cutting:
                 # Problems without a stored path may have one that cuts corners.
                 self._problems = replace(problems, unsolvable=True)
         self.offsets = offsets_of([self._problem_count(entry) for _, _, entry in self.shards])
@@ -626,7 +624,8 @@ class BatchReader:
         if self.has_terrain:
             terrain = np.empty((len(stored.shards), *self.map_size), np.uint8)
             read_terrain(self._addresses, stored.shards, stored.maps, terrain)
-        return StoredMaps(self._first_maps[stored.shards] + stored.maps, grids, terrain)
+        numbers = self._first_maps[stored.shards] + stored.maps
+        return StoredMaps(numbers, MapStack(grids, terrain))
 
     def map_indices(self, stored: StoredProblems) -> Ints:
         """Return the number of each map, (B,), counted over all roots, as in `Root.labels`."""

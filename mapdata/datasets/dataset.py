@@ -40,7 +40,6 @@ from mapdata.datasets.fields import (
     StoredMaps,
     divided_lines,
     room_matrices,
-    terrain_room_matrices,
 )
 from mapdata.datasets.info import DatasetInfo, field_infos
 from mapdata.datasets.problem_statistics import SAMPLE, measure
@@ -69,8 +68,9 @@ from mapdata.problems.sources import (
 from mapdata.problems.substitutes import RARE_SHARE, draw_substitutes, most_maps, say_rare
 from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
 from mapdata.search.api import check_cost
-from mapdata.search.footprint import inflate_all, without_occupied
+from mapdata.search.labels import labels_serve
 from mapdata.search.lattice import MAX_PATH_COST, move_rule
+from mapdata.search.map_stack import MapStack
 from mapdata.shards.locations import Locations, locations
 from mapdata.shards.workers import Advance, no_bar
 
@@ -129,9 +129,7 @@ class SampledProblems(NamedTuple):
         stored_maps = self.stored_maps
         new_maps = others.stored_maps
         stored_maps.numbers[rows] = new_maps.numbers[places]
-        stored_maps.grids[rows] = new_maps.grids[places]  # without inflation the grids above
-        if stored_maps.terrain is not None and new_maps.terrain is not None:
-            stored_maps.terrain[rows] = new_maps.terrain[places]
+        stored_maps.maps.overwrite(rows, new_maps.maps, places)  # without inflation, the same grids
         if self.paths is None or others.paths is None:
             return self
         return self._replace(paths=self.paths.with_rows(rows, others.paths, places))
@@ -140,17 +138,13 @@ class SampledProblems(NamedTuple):
 def joined(parts: Sequence[SampledProblems]) -> SampledProblems:
     """Return the problems of all parts, one part after another."""
     stored_maps = [part.stored_maps for part in parts]
-    terrains = [maps.terrain for maps in stored_maps if maps.terrain is not None]
-    grids = np.concatenate([part.grids for part in parts])
+    maps = MapStack.joined([stored.maps for stored in stored_maps])
     # Without inflation the maps as served are the stored ones themselves.
-    is_inflated = parts[0].grids is not stored_maps[0].grids
-    stored_grids = np.concatenate([maps.grids for maps in stored_maps]) if is_inflated else grids
+    grids = maps.grids
+    if parts[0].grids is not stored_maps[0].maps.grids:
+        grids = np.concatenate([part.grids for part in parts])
     return SampledProblems(
-        StoredMaps(
-            np.concatenate([maps.numbers for maps in stored_maps]),
-            stored_grids,
-            np.concatenate(terrains) if terrains else None,
-        ),
+        StoredMaps(np.concatenate([stored.numbers for stored in stored_maps]), maps),
         grids,
         np.concatenate([part.ends for part in parts]),
         _joined_paths([part.paths for part in parts]),
@@ -513,14 +507,13 @@ class SampledProblemDataset(ProblemDataset):
             compute_stored_maps: returns the maps before inflation.
         """
         seed_points = self._seed_points(map_numbers)
+        numbers = map_numbers
+        maps = MapStack(grids, None)
         if self.serving.search == "astar" and self.has_terrain:
-            stored_maps = compute_stored_maps()
-            terrain = _inflated_terrain(stored_maps, grids)
-            matrices = terrain_room_matrices(
-                stored_maps.numbers, terrain, seed_points, self.movement
-            )
-        else:
-            matrices = room_matrices(self.serving.search, grids, seed_points, self.movement)
+            numbers, stored_maps = compute_stored_maps()
+            maps = stored_maps.with_grids(grids)
+        search = self.serving.search
+        matrices = room_matrices(search, numbers, maps, seed_points, self.movement)
         return Rooms(matrices, seed_points)
 
     def _inflated(self, stored_grids: Bytes) -> Bytes:
@@ -528,11 +521,7 @@ class SampledProblemDataset(ProblemDataset):
 
         Without a radius they are the stored ones themselves.
         """
-        if self._min_clearance <= 1:  # no cell becomes occupied: spare the compilation
-            return stored_grids
-        grids = stored_grids.copy()
-        inflate_all(grids, self._min_clearance)
-        return grids
+        return MapStack(stored_grids, None).inflated(self._min_clearance).grids
 
     @abstractmethod
     def _substitutes(self, indices: Ints, epoch: int, numbers: Ints) -> Ints:
@@ -666,12 +655,9 @@ class SampledProblemDataset(ProblemDataset):
             maps[is_substitute] = self._substitutes(
                 indices[is_substitute], epoch, numbers[is_substitute]
             )
-            stored_maps = self._stored_maps(maps)
-            grids = self._inflated(stored_maps.grids)
             see_values(
                 seen,
-                grids,
-                _inflated_terrain(stored_maps, grids) if self.has_terrain else None,
+                self._stored_maps(maps).maps.inflated(self._min_clearance),
                 self._given_goals(maps),
                 self.serving.sampling_seed,
                 epoch,
@@ -709,7 +695,7 @@ class SampledProblemDataset(ProblemDataset):
         problems = self.serving.problems
         assert isinstance(problems, Random)
         stored_maps = self._stored_maps(map_numbers)
-        grids = self._inflated(stored_maps.grids)
+        maps = stored_maps.maps.inflated(self._min_clearance)
         arguments = (
             self._given_goals(map_numbers),
             np.uint64(self.serving.sampling_seed),
@@ -720,12 +706,11 @@ class SampledProblemDataset(ProblemDataset):
             move_rule(self.movement),
         )
         # Without conditions the costs of cells do not matter, as no move costs less than 1.
-        terrain = None
-        if self.has_terrain and problems.conditions != Random().conditions:
-            terrain = _inflated_terrain(stored_maps, grids)
-        ends, row, high_cost = sample_problems(grids, terrain, *arguments)
+        has_conditions = problems.conditions != Random().conditions
+        searched = maps if has_conditions else MapStack(maps.grids, None)
+        ends, row, high_cost = sample_problems(searched, *arguments)
         check_cost(stored_maps.numbers, row, high_cost)
-        return SampledProblems(stored_maps, grids, ends, paths=None)
+        return SampledProblems(stored_maps, maps.grids, ends, paths=None)
 
     def _as_batch(
         self,
@@ -864,7 +849,7 @@ class MapDataset(SampledProblemDataset):
                 f"maps are {rows} x {columns} cells of {reader.root.resolution:g} m)"
             )
         # Labels are stored for one movement and for a robot without extent.
-        self._labels_fit = self.movement == reader.movement and reader.min_clearance <= 1
+        self._labels_serve = labels_serve(reader.movement, self.movement, reader.min_clearance)
 
     def _open(self) -> None:
         serving = self.serving
@@ -1090,7 +1075,7 @@ class MapDataset(SampledProblemDataset):
 
         grids = self._inflated(stored_grids)
         batch = self._as_batch(numbers, numbers, grids, starts, goals, compute_stored_maps)
-        if isinstance(self.serving.problems, Route) and self._labels_fit:
+        if isinstance(self.serving.problems, Route) and self._labels_serve:
             batch.compute_paths = lambda search: self.reader.paths(stored, search)
         return batch
 
@@ -1117,7 +1102,7 @@ class MapDataset(SampledProblemDataset):
     ) -> Rooms:
         return (
             self._stored_rooms(map_numbers)
-            if self._labels_fit
+            if self._labels_serve
             else super()._rooms(map_numbers, grids, compute_stored_maps)
         )
 
@@ -1145,12 +1130,6 @@ def _field_tensor(name: str, values: Any, count: int) -> Tensor:
         f"fields: the function {name} returned {returned} for a batch of {count} problems, "
         f"expected a tensor whose first dimension is {count}"
     )
-
-
-def _inflated_terrain(stored_maps: StoredMaps, grids: Bytes) -> Bytes:
-    """Return the terrain of maps, whose ``grids`` (B, H, W) are inflated, after inflation."""
-    assert stored_maps.terrain is not None
-    return without_occupied(stored_maps.terrain, grids)
 
 
 def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:

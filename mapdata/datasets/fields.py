@@ -30,12 +30,12 @@ from mapdata.movement import Movement
 from mapdata.problems.symmetry import transform_grids
 from mapdata.search.api import SEARCHES, check_cost, search_terrains, solve_batch
 from mapdata.search.footprint import clearances, without_occupied
-from mapdata.search.ground import as_ground
 from mapdata.search.kernels import search_memory
 from mapdata.search.lattice import UNIT, move_rule
 from mapdata.search.lattice import hardness as hardness_of
+from mapdata.search.map_stack import MapStack
 from mapdata.search.taut import NOT_FREE, robot_of, write_waypoints
-from mapdata.search.terrain import costs_from_sums, min_cell_costs
+from mapdata.search.terrain import costs_from_sums
 
 
 class Paths(NamedTuple):
@@ -80,14 +80,11 @@ class StoredMaps(NamedTuple):
 
     Attributes:
         numbers: (B,) int64, number of each map in its dataset.
-        grids: (B, H, W) uint8 occupancy.
-        terrain: (B, H, W) uint8, the cost of each cell, 0 on occupied cells; None for maps whose
-            free cells all cost the same.
+        maps: B maps.
     """
 
     numbers: Ints
-    grids: Bytes
-    terrain: Bytes | None
+    maps: MapStack
 
 
 def _no_known_paths(search: str) -> None:
@@ -184,12 +181,12 @@ class Batch:
     @property
     def stored_grids(self) -> Bytes:
         """(B, H, W) uint8, occupancy before symmetries and inflation."""
-        return self.stored_maps.grids
+        return self.stored_maps.maps.grids
 
     @property
     def stored_terrain(self) -> Bytes | None:
         """(B, H, W) uint8, terrain before symmetries and inflation; None without terrain."""
-        return self.stored_maps.terrain if self.has_terrain else None
+        return self.stored_maps.maps.terrain if self.has_terrain else None
 
     @cached_property
     def obstacles(self) -> Bytes:
@@ -207,13 +204,18 @@ class Batch:
         terrain = self._after_symmetries(self.stored_terrain)
         return without_occupied(terrain, self.grids) if self.radius_cells else terrain
 
+    @property
+    def maps(self) -> MapStack:
+        """The maps as served, after symmetries and inflation."""
+        return MapStack(self.grids, self.terrain)
+
     @cached_property
     def min_cell_costs(self) -> Ints | None:
         """(B,) int64, the smallest cost of a free cell of each map; None without terrain.
 
         The heuristic of A* is multiplied by it. It is 256 on a map without free cells.
         """
-        return None if self.terrain is None else min_cell_costs(self.terrain)
+        return self.maps.min_cell_costs
 
     def _after_symmetries(self, grids: Bytes) -> Bytes:
         """Return stored grids or terrain, (B, H, W), after the symmetries of this batch."""
@@ -245,14 +247,9 @@ class Batch:
             arrays.append(np.empty((count, 1, *self.grids.shape[1:]), dtype))
         goal_fields = GoalFields(*arrays)
         rule = move_rule(self.movement)
-        maps, cell_costs = as_ground(self.grids, self.terrain)
+        lattice, scratch = search_memory(self.grids.shape[1:], rule)
         row, high_cost = fill_goal_fields(
-            maps,
-            cell_costs,
-            self.starts,
-            self.goals,
-            *search_memory(maps.shape[1:], rule),
-            goal_fields,
+            *self.maps.ground, self.starts, self.goals, lattice, scratch, goal_fields
         )
         if high_cost:  # Otherwise the numbers of the maps are not needed, which may be dear.
             check_cost(self.map_numbers, row, high_cost)
@@ -404,15 +401,9 @@ def path_probability(batch: Batch) -> Float32s:
     """
     cells, offsets, _ = batch.with_astar.paths
     rule = move_rule(batch.movement)
-    maps, cell_costs = as_ground(batch.grids, batch.terrain)
+    lattice, scratch = search_memory(batch.grids.shape[1:], rule)
     probabilities, row, high_cost = path_probabilities(
-        maps,
-        cell_costs,
-        batch.starts,
-        batch.goals,
-        cells,
-        offsets,
-        *search_memory(maps.shape[1:], rule),
+        *batch.maps.ground, batch.starts, batch.goals, cells, offsets, lattice, scratch
     )
     if high_cost:  # Otherwise the numbers of the maps are not needed, which may be dear.
         check_cost(batch.map_numbers, row, high_cost)
@@ -666,42 +657,28 @@ def _mask_cells(cells: Ints, grids: Bytes) -> Bytes:
     return mask
 
 
-def room_matrices(search: str, grids: Bytes, seed_points: Ints, movement: Movement) -> Float32s:
+def room_matrices(
+    search: str, map_numbers: Ints, maps: MapStack, seed_points: Ints, movement: Movement
+) -> Float32s:
     """Return connection matrices (B, R, R) float32 of maps that are solved anew.
 
     An entry is -1 without a connection, and -2 where a seed point is padding.
 
     Args:
-        search: "bfs" counts moves, "astar" adds their costs.
-        grids: (B, H, W).
-        seed_points: (B, R, 2), padded with -1.
-        movement: movement of the paths.
-    """
-    diagonals, diagonal_cost = move_rule(movement)
-    if search == "bfs":
-        diagonal_cost = UNIT
-    lattice, scratch = search_memory(grids.shape[1:], (diagonals, diagonal_cost))
-    matrices, _, _ = fill_room_matrices(grids, None, seed_points, lattice, scratch)
-    return matrices
-
-
-def terrain_room_matrices(
-    map_numbers: Ints, terrain: Bytes, seed_points: Ints, movement: Movement
-) -> Float32s:
-    """Return connection matrices (B, R, R) float32 by A* on terrain, as `room_matrices` does.
-
-    Args:
+        search: "bfs" counts moves, on terrain, too; "astar" adds their costs.
         map_numbers: (B,) numbers of the maps, for the error.
-        terrain: (B, H, W).
+        maps: B maps.
         seed_points: (B, R, 2), padded with -1.
         movement: movement of the paths.
 
     Raises:
-        ValueError: costs that are too high to be exact; the message has the number of the map.
+        ValueError: terrain whose costs are too high to be exact.
     """
-    maps, cell_costs = as_ground(terrain, terrain)
-    rule = move_rule(movement)
-    lattice, scratch = search_memory(maps.shape[1:], rule)
-    matrices, row, high_cost = fill_room_matrices(maps, cell_costs, seed_points, lattice, scratch)
+    diagonals, diagonal_cost = move_rule(movement)
+    if search == "bfs":
+        maps = MapStack(maps.grids, None)
+        diagonal_cost = UNIT
+    lattice, scratch = search_memory(maps.grids.shape[1:], (diagonals, diagonal_cost))
+    matrices, row, high_cost = fill_room_matrices(*maps.ground, seed_points, lattice, scratch)
     check_cost(map_numbers, row, high_cost)
     return matrices

@@ -34,8 +34,9 @@ from mapdata.limits import SPLITS
 from mapdata.problems.sampling import solve_pairs
 from mapdata.problems.sources import Random, Route, SourceLike, problem_source
 from mapdata.search.api import SEARCHES, check_cost
-from mapdata.search.footprint import min_squared_clearance, without_occupied
+from mapdata.search.footprint import min_squared_clearance
 from mapdata.search.lattice import move_rule
+from mapdata.search.map_stack import MapStack
 
 MAX_LENGTH = 10**12
 """Problems of a dataset, so that 64 bits hold the numbers of all maps that may replace theirs."""
@@ -215,7 +216,7 @@ class OnlineMapDataset(SampledProblemDataset):
             return super()._sample(map_numbers, keys, epoch)
         maps = self._maps(map_numbers)
         stored_maps = _as_stored_maps(maps)
-        grids = self._inflated(stored_maps.grids)
+        served = stored_maps.maps.inflated(self._min_clearance)
         rule = move_rule(self.movement)
         arguments = (
             maps.seed_points,
@@ -226,20 +227,18 @@ class OnlineMapDataset(SampledProblemDataset):
             isinstance(problems, Route),
             problems.unsolvable,
         )
-        terrain = None
         # BFS counts moves, on terrain, too.
-        if self.serving.search == "astar" and stored_maps.terrain is not None:
-            terrain = without_occupied(stored_maps.terrain, grids)
+        searched = served if self.serving.search == "astar" else MapStack(served.grids, None)
         search = SEARCHES[self.serving.search]
-        ends, solved = solve_pairs(grids, terrain, *arguments, search, rule)
+        ends, solved = solve_pairs(searched, *arguments, search, rule)
         check_cost(stored_maps.numbers, solved.done, solved.high_cost)
         paths = Paths(solved.cells, solved.offsets, solved.expansions)
-        return SampledProblems(stored_maps, grids, ends, paths)
+        return SampledProblems(stored_maps, served.grids, ends, paths)
 
 
 def _as_stored_maps(maps: Maps) -> StoredMaps:
     """Return generated maps as those of a batch, before inflation."""
-    return StoredMaps(maps.index, maps.occupancy, maps.terrain)
+    return StoredMaps(maps.index, MapStack(maps.occupancy, maps.terrain))
 
 
 def _split_counts(codes: Bytes) -> dict[str, int]:

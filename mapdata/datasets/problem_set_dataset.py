@@ -16,11 +16,11 @@ from mapdata.datasets.fields import (
     Rooms,
     StoredMaps,
     room_matrices,
-    terrain_room_matrices,
 )
 from mapdata.datasets.info import DatasetInfo, field_infos
 from mapdata.describe.dataset_card import movement_text
 from mapdata.problems.problem_set import ProblemSet, selected_paths
+from mapdata.search.map_stack import MapStack
 
 
 class ProblemSetDataset(ProblemDataset):
@@ -130,27 +130,23 @@ class ProblemSetDataset(ProblemDataset):
         del epoch  # the problems are the same in all epochs
         search = self.serving.search
         stored_maps = self._stored_maps(indices)
-        grids = stored_maps.grids
+        numbers, maps = stored_maps
         starts = self.problem_set.starts[indices]
         goals = self.problem_set.goals[indices]
 
         def compute_rooms() -> Rooms:
             seed_points = np.stack((starts, goals), axis=1)
-            numbers, _, terrain = stored_maps
-            if search == "astar" and terrain is not None:
-                matrices = terrain_room_matrices(numbers, terrain, seed_points, self.movement)
-            else:
-                matrices = room_matrices(search, grids, seed_points, self.movement)
+            matrices = room_matrices(search, numbers, maps, seed_points, self.movement)
             return Rooms(matrices, seed_points)
 
         return Batch(
             movement=self.movement,
             search=search,
-            grids=grids,
+            grids=maps.grids,
             starts=starts,
             goals=goals,
             problems=self.problem_set.problem_numbers[indices],
-            compute_map_indices=stored_maps.numbers.copy,
+            compute_map_indices=numbers.copy,
             compute_rooms=compute_rooms,
             compute_stored_maps=lambda: stored_maps,
             symmetries=np.zeros(len(indices), np.int64),
@@ -164,8 +160,8 @@ class ProblemSetDataset(ProblemDataset):
 
     def _stored_maps(self, indices: Ints) -> StoredMaps:
         """Return copies of the maps of problems ``indices``, for one batch alone."""
-        grids, terrain = self.problem_set.maps_of(indices)
-        return StoredMaps(self.problem_set.map_indices[indices], grids, terrain)
+        maps = MapStack(*self.problem_set.maps_of(indices))
+        return StoredMaps(self.problem_set.map_indices[indices], maps)
 
     def _optimal_paths(self, indices: Ints) -> Paths:
         """Return the paths of problems ``indices`` that A* has found for the whole set."""

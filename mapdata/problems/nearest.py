@@ -19,7 +19,6 @@ from mapdata.rng import PROBLEM, block, bounded
 from mapdata.search.api import search_terrains
 from mapdata.search.ground import (
     PaddedTerrain,
-    as_ground,
     cost_in_cells,
     heuristic_on,
     is_usable_end,
@@ -35,6 +34,7 @@ from mapdata.search.lattice import (
     position,
     split_cost,
 )
+from mapdata.search.map_stack import MapStack
 from mapdata.search.solving import shortest_costs_on
 
 NAMES = ("distance", "hardness", "length")
@@ -53,8 +53,7 @@ def nothing_seen() -> Floats:
 
 def see_values(
     seen: Floats,
-    grids: Bytes,
-    terrain: Bytes | None,
+    maps: MapStack,
     goals: Ints | None,
     seed: int,
     epoch: int,
@@ -70,8 +69,7 @@ def see_values(
 
     Args:
         seen: (3, 3) values, as `nothing_seen` returns them.
-        grids: (B, H, W).
-        terrain: (B, H, W), or None.
+        maps: B maps.
         goals: (B, 2) cells; None if goals are drawn, too.
         seed: sampling seed.
         epoch: pass over the data.
@@ -85,13 +83,10 @@ def see_values(
     rule = move_rule(movement)
     bands = np.array(problems.bands)
     is_length_alone = problems.distance is None and problems.hardness is None
-    if terrain is None or problems.length is None or not is_length_alone:
-        maps, cell_costs = as_ground(grids, terrain)
-        lattice, scratch = search_memory(grids.shape[1:], rule)
-        see_starts(
-            seen, maps, cell_costs, goals, key, epoch, indices, draws, bands, lattice, scratch
-        )
-    if terrain is None or problems.length is None:
+    if maps.terrain is None or problems.length is None or not is_length_alone:
+        lattice, scratch = search_memory(maps.grids.shape[1:], rule)
+        see_starts(seen, *maps.ground, goals, key, epoch, indices, draws, bands, lattice, scratch)
+    if maps.terrain is None or problems.length is None:
         return
     distances, ratios, _ = problems.bands
     open_bands: Bands = (distances, ratios, (0.0, math.inf))
@@ -99,13 +94,13 @@ def see_values(
     for draw in range(*draws):
         one_draw = (draw, draw + 1)
         ends, _, _ = sample_problems(
-            grids, terrain, goals, key, epoch, indices, one_draw, min_distance, open_bands, rule
+            maps, goals, key, epoch, indices, one_draw, min_distance, open_bands, rule
         )
         rows = np.flatnonzero(ends[:, 0] >= 0)
         starts = np.ascontiguousarray(ends[rows, :2])
         ends_of_paths = np.ascontiguousarray(ends[rows, 2:])
         solved, _, _ = search_terrains(
-            terrain[rows], starts, ends_of_paths, movement, allow_occupied_ends=False
+            maps.terrain[rows], starts, ends_of_paths, movement, allow_occupied_ends=False
         )
         for length in np.diff(solved.offsets).tolist():
             see_value(seen[2], bands[2], float(length))
@@ -127,7 +122,7 @@ def see_starts(
 ) -> None:
     """Do what `see_values` does, on terrain for distance and hardness alone.
 
-    ``maps`` and ``cell_costs`` are from `as_ground`; ``bands`` is (3, 2).
+    ``maps`` and ``cell_costs`` are from `MapStack.ground`; ``bands`` is (3, 2).
     """
     for b in range(len(maps)):
         load_map(maps[b], cell_costs, lattice, scratch.came_from)

@@ -42,9 +42,9 @@ from mapdata.search.api import (
     check_cost,
     search_batch,
 )
-from mapdata.search.footprint import inflate_all, min_squared_clearance, without_occupied
+from mapdata.search.footprint import min_squared_clearance, occupies_cells
 from mapdata.search.lattice import ASTAR, HARD, hardness, move_rule
-from mapdata.search.terrain import min_cell_costs
+from mapdata.search.map_stack import MapStack
 from mapdata.shards.files import StrPath
 from mapdata.shards.locations import Locations
 from mapdata.shards.root import Root
@@ -116,7 +116,7 @@ class ProblemSet:
     map_indices: Ints = field(init=False)
     problem_numbers: Ints = field(init=False)
     optimal: BatchResult = field(init=False)
-    _maps: _Maps = field(init=False)
+    _maps: MapStack = field(init=False)
     _rows: Ints = field(init=False)  # (N,), the row of `_maps` that each problem is on
 
     def __init__(
@@ -148,7 +148,7 @@ class ProblemSet:
 
     def _set(
         self,
-        maps: _Maps,
+        maps: MapStack,
         map_indices: Ints,
         starts: Ints,
         goals: Ints,
@@ -256,8 +256,7 @@ class ProblemSet:
         used = np.unique(self._rows[which])
         if len(used) < len(maps.grids):
             # Maps of no problem are left out, so that they are neither pickled nor saved.
-            terrain = None if maps.terrain is None else maps.terrain[used]
-            maps = _Maps(maps.grids[used], terrain)
+            maps = maps.select(used)
         subset = object.__new__(ProblemSet)
         subset._set(
             maps,
@@ -293,9 +292,8 @@ class ProblemSet:
 
         The terrain is None without any. ``indices`` selects as in ``problem_set[indices]``.
         """
-        rows = self._rows[self._selected(indices)]
-        grids, terrain = self._maps
-        return grids[rows], None if terrain is None else terrain[rows]
+        maps = self._maps.select(self._rows[self._selected(indices)])
+        return maps.grids, maps.terrain
 
     @property
     def has_terrain(self) -> bool:
@@ -327,10 +325,10 @@ class ProblemSet:
         On terrain the empty grid has the smallest cost of a free cell everywhere, so that nearly
         every problem is hard.
         """
-        cell_costs = None
-        if self._maps.terrain is not None:
-            cell_costs = min_cell_costs(self._maps.terrain)[self._rows]
-        return hardness(self.optimal.cost, self.starts, self.goals, self.movement, cell_costs)
+        min_costs = self._maps.min_cell_costs
+        if min_costs is not None:
+            min_costs = min_costs[self._rows]
+        return hardness(self.optimal.cost, self.starts, self.goals, self.movement, min_costs)
 
     @cached_property
     def hard(self) -> Flags:
@@ -377,10 +375,9 @@ class ProblemSet:
         would unpack to more than `load` allows is not compressed: one whose different maps take
         more than 1 GiB, or many large and nearly empty maps.
         """
-        grids, terrain = self._maps
         stored = StoredSet(
-            grids if terrain is None else terrain,
-            terrain is not None,
+            self._maps.costs,
+            self.has_terrain,
             self.map_indices,
             self.starts,
             self.goals,
@@ -601,24 +598,12 @@ class ProblemSet:
         )
 
 
-class _Maps(NamedTuple):
-    """The K different maps of a set.
-
-    Attributes:
-        grids: (K, H, W) uint8.
-        terrain: (K, H, W) uint8, or None.
-    """
-
-    grids: Bytes
-    terrain: Bytes | None
-
-
-def _are_own(maps: _Maps, rows: Ints) -> bool:
+def _are_own(maps: MapStack, rows: Ints) -> bool:
     """Return whether problem i is on map i of the different maps; ``rows``, (N,), are its map."""
     return len(rows) == len(maps.grids) and np.array_equal(rows, np.arange(len(rows)))
 
 
-def _as_maps(grids: Bytes, terrain: Bytes | None) -> tuple[_Maps, Ints]:
+def _as_maps(grids: Bytes, terrain: Bytes | None) -> tuple[MapStack, Ints]:
     """Return the different maps of N problems, as new arrays, and the number of each problem's map.
 
     Args:
@@ -636,11 +621,10 @@ def _as_maps(grids: Bytes, terrain: Bytes | None) -> tuple[_Maps, Ints]:
     grid_stack = as_grid(arrays[0], 3)
     if terrain is None:
         different, map_indices = different_maps(grid_stack, tuple(shape))
-        maps = _Maps(different, None)
+        maps = MapStack(different, None)
     else:
-        terrain_stack = as_terrain(arrays[1], grid_stack)
-        different, map_indices = different_maps(terrain_stack, tuple(shape))
-        maps = _Maps((different == 0).astype(np.uint8), different)
+        different, map_indices = different_maps(as_terrain(arrays[1], grid_stack), tuple(shape))
+        maps = MapStack((different == 0).astype(np.uint8), different)
     return maps, np.resize(map_indices, count)
 
 
@@ -649,27 +633,29 @@ def _as_cells(cells: Ints) -> Ints:
     return np.array(cells, np.int64, order="C").reshape(-1, 2)
 
 
-def _solve(maps: _Maps, rows: Ints, starts: Ints, goals: Ints, movement: Movement) -> BatchResult:
+def _solve(
+    maps: MapStack, rows: Ints, starts: Ints, goals: Ints, movement: Movement
+) -> BatchResult:
     """Return A*'s answers to N problems on the maps ``rows``, (N,).
 
     Raises:
         ValueError: what `search_batch` refuses.
     """
-    grids, terrain = maps
     if _are_own(maps, rows):
-        return search_batch("astar", grids, starts, goals, movement, terrain=terrain)
-    if len(grids) == 1:
-        shared = None if terrain is None else terrain[0]
-        return search_batch("astar", grids[0], starts, goals, movement, terrain=shared)
+        return search_batch("astar", maps.grids, starts, goals, movement, terrain=maps.terrain)
+    count, *size = maps.grids.shape
+    if count == 1:
+        shared = None if maps.terrain is None else maps.terrain[0]
+        return search_batch("astar", maps.grids[0], starts, goals, movement, terrain=shared)
     # The maps are repeated for some problems at a time, so that memory does not hold N of them.
-    part_size = max(1, _PART_CELLS // (grids.shape[1] * grids.shape[2]))
+    part_size = max(1, _PART_CELLS // math.prod(size))
     parts = []
     for first in range(0, len(rows), part_size):
         part = slice(first, first + part_size)
-        repeated = None if terrain is None else terrain[rows[part]]
+        grids, terrain = maps.select(rows[part])
         ends = np.asarray(starts)[part], np.asarray(goals)[part]
         try:
-            found = search_batch("astar", grids[rows[part]], *ends, movement, terrain=repeated)
+            found = search_batch("astar", grids, *ends, movement, terrain=terrain)
         except ValueError as error:
             # The message names the problem by its number in the part.
             match = re.fullmatch(r"problem (\d+): (.*)", str(error), re.DOTALL)
@@ -736,16 +722,14 @@ class _MapBatch(NamedTuple):
     Attributes:
         indices: (B,) int64, number of each map.
         keys: (B,) int64, number of the problem, which its draws depend on.
-        grids: (B, H, W) uint8.
-        terrain: (B, H, W) uint8, or None.
+        maps: the maps.
         seed_points: (B, R, 2) int64.
         seed_point_counts: (B,) int64, number of seed points of each map.
     """
 
     indices: Ints
     keys: Ints
-    grids: Bytes
-    terrain: Bytes | None
+    maps: MapStack
     seed_points: Ints
     seed_point_counts: Ints
 
@@ -754,8 +738,7 @@ class _MapBatch(NamedTuple):
         return _MapBatch(
             self.indices[rows],
             self.keys[rows],
-            self.grids[rows],
-            None if self.terrain is None else self.terrain[rows],
+            self.maps.select(rows),
             self.seed_points[rows],
             self.seed_point_counts[rows],
         )
@@ -766,21 +749,23 @@ class _MapBatch(NamedTuple):
         first_keys = batch.indices * per_map
         return batch._replace(keys=first_keys + np.tile(np.arange(per_map), len(self.indices)))
 
+    def inflated(self, min_clearance: int) -> _MapBatch:
+        """Return the maps after inflation."""
+        return self._replace(maps=self.maps.inflated(min_clearance))
+
 
 class _SampledProblems(NamedTuple):
     """M sampled problems with a path.
 
     Attributes:
         indices: (M,) int64, number of the map of each problem.
-        grids: (M, H, W) uint8.
-        terrain: (M, H, W) uint8, or None.
+        maps: M maps.
         starts: (M, 2) int64.
         goals: (M, 2) int64.
     """
 
     indices: Ints
-    grids: Bytes
-    terrain: Bytes | None
+    maps: MapStack
     starts: Ints
     goals: Ints
 
@@ -788,8 +773,7 @@ class _SampledProblems(NamedTuple):
         """Return the first ``count`` problems, or all if there are fewer."""
         return _SampledProblems(
             self.indices[:count],
-            self.grids[:count],
-            None if self.terrain is None else self.terrain[:count],
+            self.maps.select(slice(count)),
             self.starts[:count],
             self.goals[:count],
         )
@@ -797,10 +781,8 @@ class _SampledProblems(NamedTuple):
 
 def _map_batch(maps: Maps, rows: Flags | slice) -> _MapBatch:
     """Return the maps that ``rows`` selects."""
-    batch = _MapBatch(
-        maps.index, maps.index, maps.occupancy, maps.terrain, maps.seed_points, maps.rooms
-    )
-    return batch.select(rows)
+    stack = MapStack(maps.occupancy, maps.terrain)
+    return _MapBatch(maps.index, maps.index, stack, maps.seed_points, maps.rooms).select(rows)
 
 
 def _first_maps(batches: Iterable[_MapBatch], max_maps: int) -> Iterator[_MapBatch]:
@@ -870,7 +852,7 @@ def _sample_until(
     with bar(progress, map_count, unit=" maps tried") as advance:
         for batch in _parts(batches(), problems.per_map):
             maps_in_batch = len(batch.indices) // problems.per_map
-            part = _sample_on(_inflated(batch, min_clearance), problems, seed, movement)
+            part = _sample_on(batch.inflated(min_clearance), problems, seed, movement)
             found += len(part.indices)
             if until_hard is not None:
                 part, hard_in_part = _until_hard(part, until_hard - hard_count, movement)
@@ -892,7 +874,7 @@ def _sample_until(
         tried_batches = _parts(_first_maps(batches(), tried), problems.per_map)
         nearest = _nearest_text(tried_batches, problems, seed, movement, min_clearance)
         robot = ""
-        if min_clearance > 1:  # obstacles are inflated
+        if occupies_cells(min_clearance):
             robot = f" for a robot with a radius of {_inflation(min_clearance):.3g} cells"
         remedy = "wider conditions" if isinstance(problems, Random) else "other maps"
         if robot:
@@ -909,15 +891,14 @@ def _sample_until(
     description = f"maps {indices[0]} to {indices[-1]} of {source}, problems by seed {seed}"
     if min_clearance > 0:
         description += f", inflated by {_inflation(min_clearance):.3g} cells"
-    # The maps of a source all have terrain, or none has.
-    terrains = [part.terrain for part in parts if part.terrain is not None]
+    maps = MapStack.joined([part.maps for part in parts])
     return ProblemSet(
-        np.concatenate([part.grids for part in parts]),
+        maps.grids,
         np.concatenate([part.starts for part in parts]),
         np.concatenate([part.goals for part in parts]),
         movement,
         description,
-        np.concatenate(terrains) if terrains else None,
+        maps.terrain,
     )
 
 
@@ -933,15 +914,13 @@ def _nearest_text(
         return ""
     seen = nothing_seen()
     for batch in batches:
-        inflated = _inflated(batch, min_clearance)
         see_values(
             seen,
-            inflated.grids,
-            inflated.terrain,
-            _given_goals(inflated, problems),
+            batch.maps.inflated(min_clearance),
+            _given_goals(batch, problems),
             seed,
             0,  # epoch
-            inflated.keys,
+            batch.keys,
             _DRAWS,
             problems,
             movement,
@@ -952,17 +931,6 @@ def _nearest_text(
 def _inflation(min_clearance: int) -> float:
     """Return a clearance in cells; ``min_clearance`` is in half cells, squared."""
     return math.sqrt(min_clearance) / 2
-
-
-def _inflated(batch: _MapBatch, min_clearance: int) -> _MapBatch:
-    """Return maps after inflation; the grids of ``batch`` are changed in place."""
-    # Every free cell has a clearance of 1, and the kernel takes seconds to compile.
-    if min_clearance <= 1:
-        return batch
-    inflate_all(batch.grids, min_clearance)
-    if batch.terrain is None:
-        return batch
-    return batch._replace(terrain=without_occupied(batch.terrain, batch.grids))
 
 
 def _sample_on(
@@ -977,8 +945,7 @@ def _sample_on(
     has_problem = ends[:, 0] >= 0
     return _SampledProblems(
         batch.indices[has_problem],
-        batch.grids[has_problem],
-        None if batch.terrain is None else batch.terrain[has_problem],
+        batch.maps.select(has_problem),
         starts=ends[has_problem, :2],
         goals=ends[has_problem, 2:],
     )
@@ -1002,7 +969,7 @@ def _sample_random(batch: _MapBatch, problems: Random, seed: int, movement: Move
         *problems.conditions,
         move_rule(movement),
     )
-    ends, failed, high_cost = sample_problems(batch.grids, batch.terrain, *arguments)
+    ends, failed, high_cost = sample_problems(batch.maps, *arguments)
     check_cost(batch.indices, failed, high_cost)
     return ends
 
@@ -1015,8 +982,7 @@ def _sample_pairs(batch: _MapBatch, only_route: bool, seed: int, movement: Movem
     epoch = 0
     keep_unsolvable = False
     ends, solved = solve_pairs(
-        batch.grids,
-        batch.terrain,
+        batch.maps,
         batch.seed_points,
         batch.seed_point_counts,
         np.uint64(seed),
@@ -1038,10 +1004,9 @@ def _until_hard(
 
     All problems are returned if fewer of them are hard.
     """
-    _, grids, terrain, starts, goals = sampled
-    cost = search_batch("astar", grids, starts, goals, movement, terrain=terrain).cost
-    cell_costs = None if terrain is None else min_cell_costs(terrain)
-    is_hard = hardness(cost, starts, goals, movement, cell_costs) >= HARD
+    _, maps, starts, goals = sampled
+    cost = search_batch("astar", maps.grids, starts, goals, movement, terrain=maps.terrain).cost
+    is_hard = hardness(cost, starts, goals, movement, maps.min_cell_costs) >= HARD
     hard_rows = np.flatnonzero(is_hard)[:max_hard]
     row_count = hard_rows[-1] + 1 if len(hard_rows) == max_hard else len(is_hard)
     return sampled.first(row_count), len(hard_rows)

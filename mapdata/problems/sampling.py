@@ -29,7 +29,6 @@ from mapdata.search.bitboard import (
 from mapdata.search.ground import (
     EXACT,
     PaddedTerrain,
-    as_ground,
     cost_in_cells,
     load_map,
     load_terrain,
@@ -63,6 +62,7 @@ from mapdata.search.lattice import (
     position,
     split_cost,
 )
+from mapdata.search.map_stack import MapStack
 from mapdata.search.solving import Solved, search_loaded
 from mapdata.search.terrain import shortest_terrain_costs, terrain_astar
 
@@ -70,8 +70,7 @@ _LOWEST_BITS_TO_TOP_BYTE = np.uint64(0x0102040810204080)
 
 
 def sample_problems(
-    grids: Bytes,
-    terrains: Bytes | None,
+    maps: MapStack,
     goals: Ints | None,
     seed: np.uint64,
     epoch: int,
@@ -90,8 +89,7 @@ def sample_problems(
     too many cells, the next attempt draws goal and start anew.
 
     Args:
-        grids: (B, H, W).
-        terrains: (B, H, W) costs of cells, 0 where ``grids`` are occupied; None without terrain.
+        maps: B maps.
         goals: (B, 2) cells; None if goals are drawn, too.
         seed: sampling seed.
         epoch: pass over the data.
@@ -100,7 +98,7 @@ def sample_problems(
         min_distance: smallest cost of a path from start to goal, at least 1, so that the goal is no
             start.
         bands: as `Random.bands`; None if ``min_distance`` is the only condition. If that is 1, too,
-            leave out ``terrains``: no move costs less than 1, so the problems are the same.
+            leave out the terrain: no move costs less than 1, so the problems are the same.
         rule: as `move_rule` returns it.
 
     Returns:
@@ -114,20 +112,22 @@ def sample_problems(
     limits = None
     wide_limits = None
     neighbours = None
-    cell_costs = None
-    lattice, scratch = search_memory(grids.shape[1:], rule)
+    size = maps.grids.shape[1:]
+    lattice, scratch = search_memory(size, rule)
     all_bands = ((min_distance, math.inf), OPEN, OPEN) if bands is None else bands
-    if terrains is not None:
-        cell_costs = np.zeros(lattice.cells, np.uint8)
-    elif bands is None:
+    map_arrays, cell_costs = maps.ground
+    has_uniform_costs = maps.terrain is None
+    if has_uniform_costs and bands is None:
         far_distance = min_distance
-    elif rule[0] == NO_DIAGONALS:
-        limits = _level_limits(5 * sum(grids.shape[1:]) // 4, bands, rule)
-    else:
-        wide_limits = _level_limits(5 * sum(grids.shape[1:]) // 4, bands, rule)
-        neighbours = np.zeros(lattice.cells, np.uint8)
+    elif has_uniform_costs and bands is not None:
+        level_limits = _level_limits(5 * sum(size) // 4, bands, rule)
+        if rule[0] == NO_DIAGONALS:
+            limits = level_limits
+        else:
+            wide_limits = level_limits
+            neighbours = np.zeros(lattice.cells, np.uint8)
     ends, row, high_cost = _sample(
-        grids if terrains is None else terrains,
+        map_arrays,
         goals,
         seed,
         epoch,
@@ -570,8 +570,7 @@ def _terrain_path_length(
 
 
 def solve_pairs(
-    grids: Bytes,
-    terrains: Bytes | None,
+    maps: MapStack,
     seed_points: Ints,
     rooms: Ints,
     seed: np.uint64,
@@ -588,8 +587,7 @@ def solve_pairs(
     Whether a pair has a path does not depend on costs.
 
     Args:
-        grids: (B, H, W).
-        terrains: (B, H, W) that fit the grids; None without terrain, and for BFS.
+        maps: B maps, without terrain for BFS.
         seed_points: (B, R, 2) cells.
         rooms: (B,) number of seed points.
         seed: sampling seed.
@@ -604,11 +602,9 @@ def solve_pairs(
         The start and the goal of each problem (B, 4), -1 if no pair fits; and their paths. If a
         cost is too high to be exact, the problems from that one on are not sampled.
     """
-    maps, cell_costs = as_ground(grids, terrains)
-    diagonals = diagonal_moves(rule) if terrains is None else None
+    diagonals = diagonal_moves(rule) if maps.terrain is None else None
     ends, solved = _solve_pairs(
-        maps,
-        cell_costs,
+        *maps.ground,
         seed_points,
         rooms,
         seed,
@@ -618,7 +614,7 @@ def solve_pairs(
         keep_unsolvable,
         weights,
         diagonals,
-        *search_memory(grids.shape[1:], rule),
+        *search_memory(maps.grids.shape[1:], rule),
     )
     return ends, solved
 
@@ -639,7 +635,7 @@ def _solve_pairs(
     lattice: Lattice,
     scratch: Scratch,
 ) -> tuple[Ints, Solved]:
-    """Do the work of `solve_pairs`; ``maps`` and ``cell_costs`` are from `as_ground`.
+    """Do the work of `solve_pairs`; ``maps`` and ``cell_costs`` are from `MapStack.ground`.
 
     ``diagonals`` are those of the rule, from `diagonal_moves`; None on terrain.
     """

@@ -151,6 +151,14 @@ def clearances(grids: Bytes) -> Float32s:
     return distances
 
 
+def occupies_cells(min_clearance: int) -> bool:
+    """Return whether inflation by this clearance, from `min_squared_clearance`, changes any map.
+
+    The clearance of a free cell is at least half a cell, which is 1.
+    """
+    return min_clearance > 1
+
+
 @kernel
 def inflate_all(grids: Bytes, min_squared: Int) -> None:
     """Occupy the cells of each map, (B, H, W), whose clearance is too small.

@@ -13,10 +13,11 @@ from mapdata.arrays import Bytes, Flags, Floats, Ints, offsets_of, summary
 from mapdata.checks import check_choice
 from mapdata.generators.maps import Maps, unpacked
 from mapdata.jit import Int, kernel
-from mapdata.movement import STEPS
+from mapdata.movement import STEPS, Movement
 from mapdata.search.api import SEARCHES, as_terrain, high_cost_complaint
 from mapdata.search.bitboard import MAX_SIDE as MAX_BITBOARD_SIDE
 from mapdata.search.bitboard import bfs_labels_by_bits
+from mapdata.search.footprint import occupies_cells
 from mapdata.search.ground import EXACT, PaddedTerrain, as_ground, load_map, sums_of_cost
 from mapdata.search.kernels import (
     Scratch,
@@ -183,6 +184,29 @@ def pairs_of(rooms: int) -> tuple[Ints, Ints]:
     They are cached, because `numpy.triu_indices` takes longer than filling a matrix.
     """
     return np.triu_indices(rooms, 1)
+
+
+def labels_serve(stored: Movement, served: Movement, min_clearance: int) -> bool:
+    """Return whether stored paths and connection matrices are those of the maps as served.
+
+    Args:
+        stored: movement of the labels.
+        served: movement of the problems.
+        min_clearance: that of the robot, as from `min_squared_clearance`.
+    """
+    return stored == served and not occupies_cells(min_clearance)
+
+
+def connections_serve(stored: Movement, served: Movement, min_clearance: int) -> bool:
+    """Return whether stored labels say which rooms of the maps as served are connected.
+
+    Straight moves alone connect the same cells as straight moves and diagonal ones that need two
+    free cells beside them, because two straight moves can replace such a diagonal one. Cutting
+    corners connects more cells. A radius occupies cells, so it connects fewer. The arguments are
+    those of `labels_serve`.
+    """
+    same_corners = stored.corner_cutting == served.corner_cutting
+    return same_corners and not occupies_cells(min_clearance)
 
 
 LONG_PATHS = 1.5

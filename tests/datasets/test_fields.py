@@ -19,6 +19,7 @@ from helpers.specs import movements
 from mapdata import Labels, MapDataset, Movement, OnlineMapDataset, Sample, generate, label
 from mapdata.datasets import FIELDS, Batch
 from mapdata.datasets.fields import Paths, Rooms, StoredMaps, room_matrices
+from mapdata.search.map_stack import MapStack
 
 Array = npt.NDArray[Any]
 planners = pytest.mark.parametrize("search", ["bfs", "astar"])
@@ -84,7 +85,7 @@ def batch_of(problems: list[Problem], movement: Movement, search: str = "astar")
         compute_map_indices=lambda: 3 * np.arange(len(problems)),
         compute_paths=lambda name: paths if name == search else None,
         compute_rooms=no_rooms,
-        compute_stored_maps=lambda: StoredMaps(np.arange(len(problems)), grids, None),
+        compute_stored_maps=lambda: StoredMaps(np.arange(len(problems)), MapStack(grids, None)),
         symmetries=np.zeros(len(problems), np.int64),
         requested_fields=tuple(FIELDS),
     )
@@ -280,7 +281,8 @@ def test_max_length() -> None:
 def test_room_matrices_equal_the_reference(movement: Movement, search: str) -> None:
     """Searched on the fly: every entry, -1 no connection, -2 padding."""
     maps = generate(samples.SPEC, 2, range(12))
-    found = room_matrices(search, maps.occupancy, maps.seed_points, movement)
+    stack = MapStack(maps.occupancy, None)
+    found = room_matrices(search, maps.index, stack, maps.seed_points, movement)
     for k in range(len(maps)):
         n = int(maps.rooms[k])
         seed_points = [(int(row), int(column)) for row, column in maps.seed_points[k, :n]]

@@ -465,7 +465,7 @@ def test_without_a_radius_no_map_is_inflated(
     def refuse(*_: object) -> None:
         raise AssertionError("a map was inflated")
 
-    for module in ("datasets.batches", "datasets.dataset", "problems.problem_set"):
+    for module in ("datasets.batches", "search.map_stack"):
         monkeypatch.setattr(f"mapdata.{module}.inflate_all", refuse)
     for radius in (0.0, 0.05):  # any free cell has room for half a cell of 0.1 m
         assert MapDataset(roots["square"], radius=radius)[:].map.any()

@@ -25,6 +25,7 @@ from mapdata import (
 from mapdata.datasets import Batch
 from mapdata.datasets.fields import Paths, Rooms, StoredMaps
 from mapdata.search import path_waypoints
+from mapdata.search.map_stack import MapStack
 
 RADIUS = 0.09
 """Metres; cells of 0.1 m beside obstacles are left out."""
@@ -237,7 +238,7 @@ def test_a_path_through_a_wall_is_named() -> None:
         problems=np.array([17]),
         compute_map_indices=lambda: np.array([5]),
         compute_rooms=no_rooms,
-        compute_stored_maps=lambda: StoredMaps(np.array([5]), wall, None),
+        compute_stored_maps=lambda: StoredMaps(np.array([5]), MapStack(wall, None)),
         symmetries=np.zeros(1, np.int64),
         requested_fields=("waypoints",),
         compute_paths=lambda _: Paths(path, np.array([0, 3]), np.array([3])),

@@ -35,6 +35,7 @@ from mapdata.arrays import Bytes, Ints
 from mapdata.movement import NEURAL_ASTAR
 from mapdata.problems.sampling import sample_problems
 from mapdata.search.lattice import move_rule
+from mapdata.search.map_stack import MapStack
 
 MOVEMENTS = [
     Movement(),
@@ -66,8 +67,7 @@ def sample(
     """
     indices = np.arange(len(grids))
     ends, *_ = sample_problems(
-        grids,
-        None,
+        MapStack(grids, None),
         goals,
         np.uint64(seed),
         epoch,
@@ -297,9 +297,9 @@ def assert_frequencies(
     The probabilities need not have the sum 1. Without any, no problem may be found.
     """
     count = 6000
+    one_map = MapStack(grid[None], None if terrain is None else terrain[None])
     ends, *_ = sample_problems(
-        np.repeat(grid[None], count, axis=0),
-        None if terrain is None else np.repeat(terrain[None], count, axis=0),
+        one_map.select(np.zeros(count, np.int64)),
         None if goal is None else np.tile(goal, (count, 1)),
         np.uint64(5),
         0,
@@ -372,8 +372,7 @@ def test_both_ends_of_a_band_are_included(movement: Movement) -> None:
                 bands: dict[str, Any] = {name: band}
                 conditions = Random(**bands)
                 sampled, *_ = sample_problems(
-                    np.repeat(WINDING[None], count, axis=0),
-                    None,
+                    MapStack(np.repeat(WINDING[None], count, axis=0), None),
                     np.tile(goal, (count, 1)),
                     np.uint64(3),
                     0,

@@ -16,6 +16,7 @@ from mapdata import Movement, Random, astar
 from mapdata.arrays import Bytes, Ints
 from mapdata.problems.sampling import sample_problems, solve_pairs
 from mapdata.search.lattice import ASTAR, move_rule
+from mapdata.search.map_stack import MapStack
 
 DRAWS = (0, 32)
 """The draws that a dataset tries on a map: the first, and one past the last."""
@@ -41,8 +42,7 @@ def sample(
 ) -> Any:
     """Sample a problem on each terrain in epoch 3."""
     return sample_problems(
-        (terrains == 0).astype(np.uint8),
-        terrains,
+        MapStack((terrains == 0).astype(np.uint8), terrains),
         goals,
         np.uint64(seed),
         3,
@@ -132,8 +132,7 @@ def test_problems_on_terrain_of_ones_are_those_without_terrain(movement: Movemen
     conditions = Random(distance=(8, 40), hardness=(1.02, 3))
     with_terrain = sample(1 - grids, 9, conditions, movement)
     without = sample_problems(
-        grids,
-        None,
+        MapStack(grids, None),
         None,
         np.uint64(9),
         3,
@@ -166,8 +165,7 @@ def test_without_conditions_the_sampler_of_grids_gives_the_problems_of_terrain(
     terrains = random_terrains(5, (9, 10), 20)
     ends, *_ = sample(terrains, 4, conditions, Movement(8))
     expected, *_ = sample_problems(
-        (terrains == 0).astype(np.uint8),
-        None,
+        MapStack((terrains == 0).astype(np.uint8), None),
         None,
         np.uint64(4),
         3,
@@ -200,11 +198,13 @@ def test_pairs_on_terrain_are_those_of_grids_with_paths_by_astar(
         keep_unsolvable,
     )
     rule = move_rule(movement)
-    ends, solved = solve_pairs(grids, terrains, *arguments, ASTAR, rule)
+    ends, solved = solve_pairs(MapStack(grids, terrains), *arguments, ASTAR, rule)
     assert (solved.done, solved.high_cost) == (20, 0)
-    ends_without_terrain, without_terrain = solve_pairs(grids, None, *arguments, ASTAR, rule)
+    ends_without_terrain, without_terrain = solve_pairs(
+        MapStack(grids, None), *arguments, ASTAR, rule
+    )
     np.testing.assert_array_equal(ends, ends_without_terrain)
-    ends_on_ones, on_ones = solve_pairs(grids, 1 - grids, *arguments, ASTAR, rule)
+    ends_on_ones, on_ones = solve_pairs(MapStack(grids, 1 - grids), *arguments, ASTAR, rule)
     np.testing.assert_array_equal(ends_on_ones, ends_without_terrain)
     np.testing.assert_array_equal(on_ones.cells, without_terrain.cells)
     np.testing.assert_array_equal(on_ones.offsets, without_terrain.offsets)
