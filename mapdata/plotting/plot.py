@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike
 
 from mapdata.arrays import Array
 from mapdata.checks import check_choice
-from mapdata.plotting.mark_names import name_marks
 from mapdata.shards.files import StrPath, write_output
 
 if TYPE_CHECKING:
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
-    from matplotlib.path import Path as Outline
 
     from mapdata.search.labels import Labels
 
@@ -254,8 +252,8 @@ def matrices_are_equal(labels: Labels, i: int) -> bool:
 def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str = "hard") -> Axes:
     """Draw the cost ratio of each planner against its expansion ratio; left and low is good.
 
-    Bars are 95 % intervals. Each mark has the name of its planner beside it, or at the end of
-    a thin line where marks crowd.
+    Bars are 95 % intervals. Each mark has a number, from left to right, and the key beside the axes
+    has the names of the planners by number. Marks that crowd share a label, such as "2, 3".
 
     Args:
         table: what `evaluate` returns.
@@ -266,30 +264,92 @@ def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str 
     axes = axes or new_axes(size=(7, 5))[0]
     rows = table[table["subset"] == subset]
     colour = COLOURS["astar"]
-    marks: dict[str, tuple[float, float]] = {}
-    bars: list[Outline] = []
     for row in rows.to_dict("records"):
         x = row["expansion_ratio"]
         y = row["cost_ratio"]
-        marks[row["planner"]] = (x, y)
         for interval in (
             axes.hlines(y, row["expansion_ratio_low"], row["expansion_ratio_high"], colour),
             axes.vlines(x, row["cost_ratio_low"], row["cost_ratio_high"], colour),
         ):
             interval.set_linewidth(1)
-            bars += interval.get_paths()
         axes.plot(x, y, "o", color=colour, fillstyle="none", mew=2, ms=8, label=row["planner"])
     axes.set_xscale("log", base=2)
     axes.xaxis.set_major_formatter("{x:g}")
-    axes.margins(0.12, 0.2)  # room for names
+    axes.margins(0.12, 0.2)  # room for numbers
     axes.set(
         xlabel="expansions / expansions of A* (mean); left is better",
         ylabel="cost / optimal cost (mean of the solved); low is better",
         title=f"{subset} problems: {rows['n'].max()}",
     )
     axes.grid(alpha=0.3)
-    name_marks(axes, marks, bars)
+    _number_marks(axes, rows.set_index("planner")[["expansion_ratio", "cost_ratio"]])
     return axes
+
+
+def _number_marks(axes: Axes, marks: pd.DataFrame) -> None:
+    """Write numbers above marks, and a key of their names beside the axes.
+
+    Args:
+        axes: with the marks.
+        marks: x and y of each mark, by its name; those that are not finite are left out.
+    """
+    from matplotlib import rcParams
+    from matplotlib.lines import Line2D
+
+    finite = marks[np.isfinite(marks).all(axis=1)]
+    if not len(finite):
+        return
+    order = np.lexsort(finite.to_numpy().T[::-1])  # by x, then by y
+    ordered = finite.iloc[order]
+    key = []
+    for k, name in enumerate(ordered.index):
+        size = 6 if k < 9 else 8  # of the height or width of a number, whichever is larger
+        handle = Line2D([], [], linestyle="none", marker=f"${k + 1}$", ms=size, mew=0.2, label=name)
+        handle.set_color(rcParams["text.color"])
+        key.append(handle)
+    axes.legend(handles=key, loc="upper left", bbox_to_anchor=(1, 1), fontsize="small")
+    figure: Any = axes.figure  # matplotlib's type hints also allow None here
+    figure.draw_without_rendering()  # makes the layout, which the key changes
+    points = axes.transData.transform(ordered.to_numpy()) * 72 / figure.dpi
+    for group in _groups_of_labels(points):
+        foot = axes.transData.inverted().transform(_label_foot(points[group]) * figure.dpi / 72)
+        axes.annotate(
+            ", ".join(str(k + 1) for k in group),
+            (foot[0], foot[1]),
+            (0, _LABEL_GAP),
+            textcoords="offset points",
+            ha="center",
+            fontsize="small",
+        )
+
+
+_LABEL_GAP = 7
+"""Points between the middle of a mark and the label above it."""
+
+_LABEL_SIZE = (8.0, 13.0)
+"""Width of a number in a label and height of a label, in points, with some space around them."""
+
+
+def _label_foot(points: Array) -> Array:
+    """Return the (x, y) below the label of marks at ``points``, (n, 2)."""
+    return np.array([points[:, 0].mean(), points[:, 1].max()])
+
+
+def _groups_of_labels(points: Array) -> list[list[int]]:
+    """Return the marks at ``points``, (n, 2), in groups whose labels do not cover each other."""
+    groups = [[k] for k in range(len(points))]
+    k = 0
+    while k < len(groups):
+        for j in range(k):
+            feet = [_label_foot(points[groups[i]]) for i in (j, k)]
+            distance = np.abs(feet[0] - feet[1])
+            digits = len(groups[j]) + len(groups[k])
+            if distance[0] < digits * _LABEL_SIZE[0] and distance[1] < _LABEL_SIZE[1]:
+                groups[j] = sorted(groups[j] + groups.pop(k))
+                k = 0  # The label became wider and may cover others now.
+                break
+        k += 1
+    return groups
 
 
 def plot_cells(
