@@ -16,8 +16,7 @@ from benchmarks.measure import Row, to_text
 from mapdata import Forest, Movement, Random, generate
 from mapdata.datasets import DRAWS
 from mapdata.problems import sample_problems
-from mapdata.search import move_rule
-from mapdata.search.map_stack import MapStack
+from mapdata.search import MapStack, move_rule
 
 PACKAGES = ("mapdata-torch", "numpy", "numba")
 GOALS = (4, 8, 16, 32)

@@ -15,12 +15,14 @@ from mapdata.search.api import (
 from mapdata.search.footprint import clearance, inflate, inflate_terrain
 from mapdata.search.labels import Labels, RouteLabels, label
 from mapdata.search.lattice import hardness, move_rule
+from mapdata.search.map_stack import MapStack
 from mapdata.search.taut import lines_are_free, path_waypoints, pull_taut, to_metres
 
 __all__ = [
     "STEPS",
     "BatchResult",
     "Labels",
+    "MapStack",
     "RouteLabels",
     "SearchResult",
     "as_terrain",
