@@ -207,16 +207,18 @@ def growth_rows(work: float, rounds: int) -> list[Row]:
             Row(
                 f"growth, side {small} to {large}",
                 ratio=growth,
-                target="4x",
-                note=f"{few} and {many} rooms",
+                note=f"{few} and {many} rooms; 4x the cells",
             )
         )
     growth = ", ".join(f"{cost[size, many] / cost[size, few]:.1f}x" for size in SIZES)
     pairs = many * (many - 1) / (few * (few - 1))
-    note = f"sides {', '.join(map(str, SIZES))}; {pairs:.1f}x the pairs for A*, and more free cells"
+    note = (
+        f"sides {', '.join(map(str, SIZES))}; {many / few:.1f}x the rooms, {pairs:.1f}x the pairs "
+        "for A*, and more free cells"
+    )
     return [
         *rows,
-        Row(f"growth, {few} to {many} rooms", ratio=growth, target=f"{many / few:.1f}x", note=note),
+        Row(f"growth, {few} to {many} rooms", ratio=growth, note=note),
     ]
 
 
@@ -234,7 +236,6 @@ def table(quick: bool, parent: str | None = None) -> str:
     ]
     notes = (
         f"{rounds} repeats",
-        "preset paper (64 x 64), 4-connected, unless a row names another; in rows of growth, the "
-        "target is growth in proportion to the cells or rooms",
+        "preset paper (64 x 64), 4-connected, unless a row names another",
     )
     return to_text("Labels on one core", rows, packages=PACKAGES, notes=notes)
