@@ -1,5 +1,9 @@
 """The decorator `kernel`, which compiles a function on its first use and caches it on disk.
 
+Compiling is what a first use waits for. So the branches that the types of the arguments rule out
+are left out (`_DecideIsNone`), and Python's stack has room for the calls of numba
+(`_in_large_frame`).
+
 The cache of mapdata's own kernels is never stale. For kernels of other packages, numba watches only
 the file of the kernel. So the functions that such a kernel calls, and the constants that it uses,
 have to be in the same file or in mapdata.

@@ -13,8 +13,10 @@ purpose. The counts (s, d) can be read back from a cost: modulo UNIT, the cost i
 DIAGONAL, being odd, has an inverse modulo UNIT, which is a power of two.
 
 A `Movement` takes two forms on its way into the kernels. Public functions turn it into a `MoveRule`
-once, by `move_rule`. A kernel that is called from Python turns the rule into the `Lattice` of its
-map size, by `lattice_of`. All kernels below that one take the lattice alone.
+once, by `move_rule`. The rule and the size of a map make the `Lattice`. Kernels for many problems
+get it from Python (`mapdata.search.kernels.search_memory`). A kernel for one problem makes it by
+`lattice_of`, because passing it takes as long as a part of a short search. All kernels below these
+take the lattice alone.
 
 The legal moves, the heuristic and hardness are defined here. The corner rule is written six more
 times, and each copy states its reason: `flood`, `first_bad_cell` and `shortest_costs` in
