@@ -8,6 +8,7 @@ import sys
 import warnings
 from pathlib import Path
 
+import torch.distributed
 from pytorch_lightning.callbacks import ModelCheckpoint
 
 from helpers.training import Model, module, trainer
@@ -44,6 +45,11 @@ def main(root: str, out: Path, devices: int) -> None:
         "means": model.means,
     }
     (out / f"rank{os.environ.get('LOCAL_RANK', '0')}.json").write_text(json.dumps(result))
+    if devices > 1:
+        # Lightning leaves the process group open, and the threads of gloo that are alive when the
+        # interpreter ends abort the process now and then ("terminate called ...", in C++ alone).
+        torch.distributed.barrier()
+        torch.distributed.destroy_process_group()
 
 
 if __name__ == "__main__":
