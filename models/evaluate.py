@@ -35,6 +35,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+import torch
 from matplotlib.figure import Figure
 
 from mapdata import PRESETS, evaluation
@@ -81,7 +82,7 @@ def evaluate_planners(
     figure: str | None = None,
     weights: str | None = None,
 ) -> None:
-    """Compare planners on one problem per map, or on the problems of a file.
+    """Compare planners on one problem per map, or on the problems of a file, in one thread.
 
     Examples:
       python -m mapdata.models.evaluate planners --preset dungeon --maps 600 --seed 77
@@ -132,7 +133,14 @@ def evaluate_planners(
         rows += planners(model)
     elif model is not None:
         rows.append(model)
-    compare_planners(rows, problems, baseline=baseline, csv=csv, json=json, figure=figure)
+    # Classical planners run in one thread, and times count all threads: a second one that waits
+    # for work would be counted, too.
+    thread_count = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        compare_planners(rows, problems, baseline=baseline, csv=csv, json=json, figure=figure)
+    finally:
+        torch.set_num_threads(thread_count)
 
 
 def load_weights(file: str) -> PathPredictor | NeuralAstar:

@@ -149,6 +149,11 @@ class GuidedSearch(Batched):
     model: Predictor
     trust: float = 0.15
 
+    @property
+    def movement(self) -> Movement:
+        """The movement of the model, which the problems must have."""
+        return self.model.movement
+
     def __post_init__(self) -> None:
         """Check the trust, which may be infinite."""
         if not check_number("trust", self.trust) >= 0:  # this form also refuses NaN

@@ -20,6 +20,7 @@ from lightning_fabric.utilities.exceptions import MisconfigurationException
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
+from mapdata import MapDataModule
 from mapdata.checks import check_choice, check_finite
 from mapdata.shards import write_output
 
@@ -76,6 +77,24 @@ class Model(pl.LightningModule, ABC):
     @abstractmethod
     def losses(self, batch: Any) -> Tensors:
         """Return ``loss`` and its parts, by the names under which `training_step` logs them."""
+
+    def setup(self, stage: str) -> None:
+        """Compare the movement of the model, if it has one, with that of the data module.
+
+        Raises:
+            ValueError: they differ, so that the model would learn, or be tested on, moves that it
+                does not make.
+        """
+        movement = getattr(self, "movement", None)
+        data = getattr(self.trainer, "datamodule", None)
+        if movement is None or not isinstance(data, MapDataModule):
+            return
+        for dataset in data.datasets.values():
+            if dataset.movement != movement:
+                raise ValueError(
+                    f"movement: the model is for {movement}, the data for {dataset.movement}: "
+                    "give movement=model.movement to MapDataModule"
+                )
 
     def training_step(self, batch: Any, batch_idx: int) -> Tensor:
         """Return the loss of one step."""

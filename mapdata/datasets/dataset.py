@@ -603,8 +603,8 @@ class SampledProblemDataset(ProblemDataset):
             return
         _process["said_rare"] = True
         say_rare(
-            f"{plain_text(self.serving.problems)}: {failed:,} maps without such a problem, and "
-            f"{missing_count:,} of {len(tried):,} problems of a batch still to find; wider "
+            f"{plain_text(self.serving.problems)}: no such problem at {failed:,} tries on a map, "
+            f"and {missing_count:,} of {len(tried):,} problems of a batch still to find; wider "
             "conditions are faster"
         )
 
@@ -631,12 +631,16 @@ class SampledProblemDataset(ProblemDataset):
         ahead = min(tried.min() // 8, self._maps_at_once // len(tried), most - tried.max())
         return max(int(ahead), 1)
 
+    def _tried_text(self, tries: int) -> str:
+        """Return how many maps were tried for a problem."""
+        return f"{tries:,} maps were tried"
+
     def _no_problem_complaint(self, index: int, epoch: int, most: int) -> str:
         """Return the error for a problem that is on none of its first ``most`` maps."""
         problems = self.serving.problems
         is_random = isinstance(problems, Random)
         text = f"problems: got {plain_text(problems)}: none on one map after another"
-        text += f"; {most:,} maps were tried for problem {index} of epoch {epoch}"
+        text += f"; {self._tried_text(most)} for problem {index} of epoch {epoch}"
         if isinstance(problems, Random):
             text += f", and {self._nearest_text(problems, index, epoch, most)}"
         remedy = "wider conditions" if is_random else "other maps"
@@ -1110,6 +1114,13 @@ class MapDataset(SampledProblemDataset):
         """Draw each map from the whole split, so that no map replaces more others than the rest."""
         seed = np.uint64(self.serving.sampling_seed)
         return draw_substitutes(seed, indices, epoch, numbers, len(self.reader))
+
+    def _tried_text(self, tries: int) -> str:
+        """Say that the maps of a small split were tried several times."""
+        map_count = len(self.reader)
+        if tries <= map_count:
+            return super()._tried_text(tries)
+        return f"{tries:,} tries were made on the maps of the split, {map_count:,} in number,"
 
 
 def _field_tensor(name: str, values: Any, count: int) -> Tensor:

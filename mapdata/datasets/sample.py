@@ -6,7 +6,7 @@ from collections import namedtuple
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -33,10 +33,12 @@ class Sample(tuple[Any, ...]):
     _fields: tuple[str, ...]
     _capacity: int | None
 
-    if TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any:
-            """Fields are tensors."""
+    def __getattr__(self, name: str) -> Any:
+        """Refuse a field that the dataset was not asked for; the others are attributes."""
+        raise AttributeError(
+            f"'Sample' object has no attribute {name!r}: it has the fields "
+            f"{', '.join(self._fields)}; name others in fields= of the dataset or data module"
+        )
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as field names and values.

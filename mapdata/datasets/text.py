@@ -148,10 +148,17 @@ def maze_text(
     #     #
     #######
     """
+    if not isinstance(sample, Sample):
+        raise ValueError(f"maze_text: got {type(sample).__name__}, expected a sample of a dataset")
     if not set(_FIELDS) <= set(sample._fields):
         raise ValueError(
             f"maze_text: got samples of {', '.join(sample._fields)}; expected the fields "
             f"{', '.join(_FIELDS)}"
+        )
+    if sample.start.ndim > 1:
+        raise ValueError(
+            "maze_text: got a batch, expected one sample: give it to the dataset as transform=, "
+            "or take dataset[0]"
         )
     check_choice("answer", answer, ("cells", "moves", "letters"))
     fields = {name: getattr(sample, name).numpy()[None] for name in _FIELDS}

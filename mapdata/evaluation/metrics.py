@@ -19,6 +19,7 @@ from mapdata.arrays import Bytes, Floats, Ints, summary
 from mapdata.checks import check_choice, check_count
 from mapdata.describe.intervals import confidence_intervals
 from mapdata.limits import Cell
+from mapdata.movement import Movement
 from mapdata.problems.problem_set import ProblemSet
 from mapdata.search.api import BatchResult, check_path
 from mapdata.search.lattice import HARD
@@ -65,6 +66,9 @@ class Planner(Protocol):
     A planner takes terrain if its `plan_batch`, or its `plan` if it has no `plan_batch`, has a
     parameter ``terrain``: the costs of the cells, uint8 of the shape of the grid or grids, 0 where
     they are occupied. `evaluate` passes it by name, and only where problems have terrain.
+
+    A planner for one rule of moves says so in an attribute ``movement``, a `Movement`: `evaluate`
+    then refuses problems of another one.
     """
 
     @property
@@ -145,9 +149,11 @@ def evaluate(
             each planner with `plan_batch`.
 
     Raises:
-        TypeError: ``problems`` are no `ProblemSet`; the answer of a planner is no `Plan`.
+        TypeError: ``problems`` are no `ProblemSet`; one of the planners has no ``name`` or no
+            ``plan``; the answer of a planner is no `Plan`.
         ValueError: no planner, two of one name, none of the name ``baseline``, no problem, no
-            resample, or a ``plan_batch`` with too few plans.
+            resample, a ``plan_batch`` with too few plans, or a planner whose attribute ``movement``
+            is another `Movement` than that of the problems.
         Exception: whatever a planner raises.
     """
     if not isinstance(problems, ProblemSet):
@@ -155,6 +161,8 @@ def evaluate(
             f"problems: got {type(problems).__name__}, expected a ProblemSet: "
             "mapdata.formats.read_problems(file) reads one"
         )
+    for planner in planners:
+        _check_planner(planner, problems.movement)
     names = [planner.name for planner in planners]
     if not names or len(set(names)) < len(names):
         raise ValueError(f"planners: got the names {names}, expected at least one and each once")
@@ -171,6 +179,27 @@ def evaluate(
     if baseline is not None:
         reference_expansions = runs[names.index(baseline)].expansions
     return _table(names, runs, problems, reference_expansions, bootstrap, seed)
+
+
+def _check_planner(planner: Planner, movement: Movement) -> None:
+    """Refuse what is no planner, and a planner for another rule of moves than the problems have.
+
+    Diagonal moves are illegal where four moves are allowed, so that such a planner would fail on
+    nearly all problems, and its row would not say why.
+    """
+    for attribute in ("name", "plan"):
+        if not hasattr(planner, attribute):
+            raise TypeError(
+                f"planners: got a {type(planner).__name__}, which has no {attribute!r}: expected "
+                "planners, as mapdata.evaluation.classical() returns them, or "
+                "mapdata.models.planners(model) for a path predictor"
+            )
+    planner_movement = getattr(planner, "movement", None)
+    if isinstance(planner_movement, Movement) and planner_movement != movement:
+        raise ValueError(
+            f"planners: {planner.name} is for {planner_movement}, the problems for {movement}: "
+            "give the movement of the planner to ProblemSet.sample or MapDataset as movement="
+        )
 
 
 def score_paths(

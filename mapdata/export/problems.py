@@ -450,7 +450,11 @@ def _open(
         origin = {"recipe": recipe.to_dict()}
     written = [part for part in parts if part.count > 0]
     if not written:
-        raise ValueError(f"problems: {plain_text(options.problems)}: the source has none of them")
+        empty = " and ".join(part.split for part in parts)
+        raise ValueError(
+            f"problems: {plain_text(options.problems)}: the source has none of them: no map of "
+            f"{empty} gives one"
+        )
     return written, origin
 
 
@@ -637,6 +641,10 @@ def _source_recipe(source: RecipeLike, seed: int | None) -> Recipe:
     Raises:
         ValueError: it is neither a dataset nor a recipe.
     """
+    if isinstance(source, str) and not source.lstrip().startswith("{"):
+        path = Path(source)
+        if path.suffix and not path.exists():
+            raise ValueError(f"{source}: no such file or folder")
     try:
         return as_recipe(source, seed=seed)
     except ValueError as error:
@@ -764,8 +772,8 @@ def _count_notes(parts: Sequence[_Part]) -> list[str]:
     for part in parts:
         if part.count > len(part.dataset):
             notes.append(
-                f"{part.split}: more problems than the {len(part.dataset):,} that an epoch has, so "
-                "maps are used again"
+                f"{part.split}: maps are used again, with other starts and goals, since an epoch "
+                f"has {len(part.dataset):,} problems"
             )
     return notes
 

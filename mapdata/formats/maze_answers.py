@@ -39,6 +39,12 @@ _LINES = (
 )
 """What a line of an answer is, apart from those of a marked maze."""
 
+_LABEL_WORD = re.compile(r"\b(?:answer|solution|path|moves)\b", re.I)
+"""What a label has, behind which an answer stands in the same line."""
+
+_MARKS_OF_CHAT = " \t*_`."
+"""Marks of bold and slanted text and of code, and the end of a sentence, around an answer."""
+
 _OCCUPIED, _FREE, _START, _GOAL, _MARK = np.frombuffer(b"# SGo", np.uint8)
 """The ASCII codes of the cells."""
 
@@ -131,7 +137,10 @@ def check_answer(question: str, answer: str) -> AnswerCheck:
     - letters: the letters U, D, L and R, with or without spaces or commas between them;
     - "infeasible", which is right if no path leads from S to G.
 
-    Other text may stand around the answer, in lines of its own, which are ignored. First, each copy
+    Other text may stand around the answer, in lines of its own, which are ignored. Moves, letters
+    and "infeasible" may also stand in one line behind a label, which is any text that has one of
+    the words answer, solution, path or moves and ends with a colon, or ``<answer>``; and between
+    marks of bold text or code: ``**Answer:** RRD``. First, each copy
     of the question is dropped. If there are fenced blocks (lines of three backticks), the last one
     that is not empty is read, and otherwise the last consecutive lines of one of these forms. Two
     answers there score 0.
@@ -157,7 +166,7 @@ def check_answer(question: str, answer: str) -> AnswerCheck:
     """
     parsed = parse_question(question)
     if not isinstance(answer, str):
-        raise FormatError(f"answer: got {answer!r}, expected a text")
+        raise FormatError(f"answer: got {_type_name(answer)}, expected a text")
     parts = _parts_of_answer(answer.replace("\r\n", "\n").split("\n"), parsed)
     answers = _answers_that_count(parts)
     if not answers:
@@ -200,7 +209,10 @@ def parse_question(question: object) -> Question:
         FormatError: the question is no map with one S and one G.
     """
     if not isinstance(question, str):
-        raise FormatError(f"question: got {question!r}, expected a text")
+        raise FormatError(
+            f"question: got {_type_name(question)}, expected a text: the prompt of "
+            "mapdata.datasets.maze_text, or of an export; tokens of HRM and TRM are no text"
+        )
     question = question.replace("\r\n", "\n").strip("\n")
     if not _QUESTION.fullmatch(question.replace("\n", "")):
         raise FormatError("question: expected cells '#' and ' ', one S and one G")
@@ -208,6 +220,11 @@ def parse_question(question: object) -> Question:
     ((start_row, start_column),) = np.argwhere(cells == _START).tolist()
     ((goal_row, goal_column),) = np.argwhere(cells == _GOAL).tolist()
     return Question(cells, (start_row, start_column), (goal_row, goal_column))
+
+
+def _type_name(value: object) -> str:
+    """Return what a value is, for errors: its repr may be large."""
+    return f"a value of type {type(value).__name__}"
 
 
 def _grid_of_cells(text: str) -> Bytes:
@@ -222,12 +239,15 @@ def _grid_of_cells(text: str) -> Bytes:
     lines = text.split("\n")
     if len(lines) > 1:
         if len(set(map(len, lines))) != 1:
-            raise FormatError("got lines of several lengths, expected one length")
+            raise FormatError("question: got lines of several lengths, expected one length")
         codes = np.frombuffer("".join(lines).encode("latin-1"), np.uint8)
         return codes.reshape(len(lines), -1)
     side = math.isqrt(len(text))
     if side * side != len(text):
-        raise FormatError(f"got {len(text)} cells, expected a square map")
+        raise FormatError(
+            f"question: got {len(text)} cells in one line, expected a square map, or its rows as "
+            "lines"
+        )
     return np.frombuffer(text.encode("latin-1"), np.uint8).reshape(side, side)
 
 
@@ -248,14 +268,39 @@ def _parts_of_answer(lines: Sequence[str], maze: Question) -> list[_Part]:
             parts.append(_Part(_MAZE if "o" in rows else _COPY, rows))
             k += line_count
             continue
-        names = (name for name, pattern in _LINES if pattern.fullmatch(lines[k]))
-        name = next(names, _OTHER)
+        label, line = "", lines[k]
+        name = _name_of_line(line)
+        if name == _OTHER:
+            label, inner_line = _without_label(line)
+            if _name_of_line(inner_line) in _ANSWERS:
+                name, line = _name_of_line(inner_line), inner_line
+        if label and name in _ANSWERS:
+            parts.append(_Part(_OTHER, label))  # it separates this answer from those before it
         if parts and parts[-1].name == name and name in (_WORDS, _LETTERS_ONLY):
-            parts[-1] = _Part(name, f"{parts[-1].text} {lines[k]}")
+            parts[-1] = _Part(name, f"{parts[-1].text} {line}")
         else:
-            parts.append(_Part(name, lines[k]))
+            parts.append(_Part(name, line))
         k += 1
     return parts
+
+
+def _name_of_line(line: str) -> str:
+    """Return which part of an answer a line is, apart from a marked maze."""
+    names = (name for name, pattern in _LINES if pattern.fullmatch(line))
+    return next(names, _OTHER)
+
+
+def _without_label(line: str) -> tuple[str, str]:
+    """Return the label of a line, "" without one, and its answer without marks around it.
+
+    >>> _without_label("**Answer:** RRD"), _without_label("<answer>down</answer>")
+    (('**Answer:', 'RRD'), ('<answer>', 'down'))
+    """
+    text = line.strip().removesuffix("</answer>")
+    label = text[: max(text.rfind(":"), text.rfind(">")) + 1]
+    if not _LABEL_WORD.search(label):
+        label = ""
+    return label, text[len(label) :].strip(_MARKS_OF_CHAT)
 
 
 def _marked_rows(lines: Sequence[str], maze: Question) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
-from mapdata.checks import check_choice
+from mapdata.checks import check_choice, did_you_mean
 from mapdata.formats.collection import Collection
 from mapdata.formats.files import LIMITS, Limits, files_with_endings
 from mapdata.npy import FormatError
@@ -312,7 +312,9 @@ def _checked_function(
     accepted = options_of(function)
     for name, value in options.items():
         if name not in accepted:
-            raise ValueError(f"{name}: does nothing for format {format_name}")
+            raise ValueError(
+                f"{name}: does nothing for format {format_name}{did_you_mean(name, accepted)}"
+            )
         option = accepted[name]
         if get_origin(option.annotation) is Literal and value is not option.default:
             check_choice(name, value, get_args(option.annotation))

@@ -485,7 +485,10 @@ _COST_SCALES = {"raw": _CostScale(252, 254), "scaled": _CostScale(98, 100)}
 _UNKNOWN = 255
 """The pixel of an unknown cell of a costmap."""
 
-_SAY_UNKNOWN = "say --ros.unknown occupied or --ros.unknown free"
+_SAY_UNKNOWN = (
+    "say --ros.unknown occupied or --ros.unknown free, or unknown='occupied' or unknown='free' in "
+    "Python"
+)
 """What to do about unknown cells."""
 
 

@@ -47,6 +47,11 @@ class Maze(Scattered):
         pitch = self.corridor + self.wall
         junction_count = math.prod((side - self.wall) // pitch for side in self.map_size)
         max_count = min(junction_count, MAX_ROOMS)
+        if junction_count < 2:
+            raise ValueError(
+                f"map_size: got {self.map_size}, expected a maze of at least 2 junctions: each has "
+                f"a corridor of {self.corridor} and a wall of {self.wall} cells"
+            )
         self._convert(partial(check_seed_points, max_count=max_count), "seed_points")
 
     def draw_grid(self, grid: Bytes, seed: np.uint64, index: np.uint64) -> None:

@@ -179,6 +179,9 @@ def problem_source(problems: SourceLike) -> Source:
     if name not in SOURCES:
         expected = f'one of {", ".join(SOURCES)}, or one with its arguments, {{"random": {{...}}}}'
         hint = did_you_mean(name, SOURCES)
+        if name == "hard":
+            hint = '; hard ones are Random(hardness=(1.05, None)), as text {"random": '
+            hint += '{"hardness": [1.05, null]}}'
         raise ValueError(f"problems: got {problems!r}, expected {expected}{hint}")
     source = SOURCES[name]
     return source(**known_values(f"problems: {name}", arguments_by_name[name], source))

@@ -681,6 +681,11 @@ def as_grid(grid: ArrayLike, rank: int) -> Bytes:
     except ValueError as error:
         raise ValueError(f"grid: {error}") from None
     shape = array.shape
+    if array.dtype == object and not shape:
+        hint = "; ros_map.grid(unknown=...) makes one" if hasattr(grid, "grid") else ""
+        raise ValueError(
+            f"grid: got a {type(grid).__name__}, expected an array of 0 free and 1 occupied{hint}"
+        )
     if len(shape) != rank or shape[-2] == 0 or shape[-1] == 0:
         raise ValueError(
             f"grid: got shape {shape}, expected {'(H, W)' if rank == 2 else '(B, H, W)'} not empty"

@@ -547,6 +547,11 @@ def _check_same_dataset(root: Path, planned: Manifest, existing: Manifest) -> No
         # Lists and tuples are equal as JSON.
         if name in existing_facts and canonical_json(existing_facts[name]) != canonical_json(fact)
     ]
+    if differing and existing.generator is None:
+        raise ValueError(
+            f"root: {root} holds maps that were imported, and no recipe makes more of them: choose "
+            "another folder, or leave out the recipe (build= of MapDataModule) to train on it"
+        )
     if differing:
         existing_text = ", ".join(f"{name} {existing_facts[name]}" for name in differing)
         planned_text = ", ".join(f"{name} {planned_facts[name]}" for name in differing)

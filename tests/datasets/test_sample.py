@@ -34,6 +34,15 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> str:
     return samples.build_small(tmp_path_factory.mktemp("sample") / "maps")
 
 
+def test_a_field_that_was_not_asked_for(root: str) -> None:
+    """The error of a training step says which fields there are, and where others are named."""
+    sample = MapDataset(root, fields=("map", "goal"))[:2]
+    message = r"no attribute 'optimal_mask': it has the fields map, goal; name others in fields="
+    with pytest.raises(AttributeError, match=message):
+        _ = sample.optimal_mask
+    assert not hasattr(sample, "keys")  # as torch asks
+
+
 @pytest.fixture(params=["disk", "random", "online", "fixed"])
 def dataset(request: pytest.FixtureRequest, root: str) -> MapDataset | OnlineMapDataset:
     """Datasets of all kinds, with every field."""

@@ -281,7 +281,7 @@ def test_a_stored_dataset_has_the_same_end(tmp_path: Path, monkeypatch: pytest.M
     root = build_small(tmp_path / "maps", maps=10)
     monkeypatch.setattr("mapdata.problems.substitutes.MAX_CELLS", 0)
     for problems, radius, says in (
-        (Random(distance=(390, None)), 0.0, r"20 maps were .* largest distance seen is \d+ cells"),
+        (Random(distance=(390, None)), 0.0, r"20 tries were .* largest distance seen is \d+ cells"),
         (Random(hardness=(40, None)), 0.0, r"the largest hardness seen is [\d.]+; take"),
         (Random((None, 3), (1.5, None)), 0.0, "no start met all conditions at once"),
         (Random(), 5.0, "no goal could be reached from another cell; .* smaller radius than 5 m"),

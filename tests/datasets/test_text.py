@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -78,6 +79,25 @@ def test_a_marked_maze_of_neighbours_would_be_the_prompt() -> None:
     letters = functools.partial(maze_text, answer="letters")
     texts: Any = OnlineMapDataset(Maze((7, 7)), transform=letters, **options)
     assert {text["answer"] for text in texts} <= set("UDLR")
+
+
+@pytest.mark.parametrize(
+    ("what", "message"),
+    [
+        (
+            lambda dataset: dataset[:2],
+            r"maze_text: got a batch, expected one sample: .*dataset\[0\]",
+        ),
+        (lambda dataset: "S G", "maze_text: got str, expected a sample of a dataset"),
+    ],
+)
+def test_what_is_no_sample_is_refused(
+    what: Callable[[OnlineMapDataset], Any], message: str
+) -> None:
+    """A batch is changed by the dataset itself."""
+    dataset = OnlineMapDataset("maze15", length=2, problems="random")
+    with pytest.raises(ValueError, match=message):
+        maze_text(what(dataset))
 
 
 def test_another_form_of_answer_is_refused() -> None:

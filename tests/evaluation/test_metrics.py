@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 import pytest
+import torch
 from helpers.reference import Cell
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -26,6 +27,7 @@ from scipy import stats
 
 from mapdata import MapSpec, Plan, ProblemSet, astar, build, evaluate
 from mapdata.evaluation import METRICS, TIMES, Planner, classical, median_interval, metrics, to_text
+from mapdata.models.evaluate import evaluate_planners
 from mapdata.movement import Movement
 from mapdata.plotting import plot_planners
 
@@ -326,6 +328,20 @@ def test_a_file_in_place_of_problems_is_refused() -> None:
         evaluate(classical(Movement(8)), "arena.map.scen")  # type: ignore[arg-type]
 
 
+def test_a_planner_for_another_movement_is_refused() -> None:
+    """Its diagonal moves would be illegal, and its row would say that it hardly ever succeeds."""
+    (search,) = [planner for planner in classical(Movement(8)) if planner.name == "A*"]
+    message = r"planners: A\* is for Movement\(connectivity=8, .*, the problems for .*ty=4"
+    with pytest.raises(ValueError, match=message):
+        evaluate([search], three())
+
+
+def test_a_model_in_place_of_its_planners_is_refused() -> None:
+    """The error names the function that returns them."""
+    with pytest.raises(TypeError, match=r"got a SimpleNamespace, which has no 'plan': .* planners"):
+        evaluate([SimpleNamespace(name="model")], three())
+
+
 def test_the_interval_of_a_share_is_close_to_the_normal_interval() -> None:
     """For a share the percentile interval is close to the normal one, and the same with the same
     seed.
@@ -470,6 +486,23 @@ def test_the_script_writes_a_list_of_rows(
         assert {name: one[name] for name in one if name[:2] != "ms"} == {
             name: other[name] for name in other if name[:2] != "ms"
         }
+
+
+def test_the_script_measures_in_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Times count all threads, also those that wait; afterwards torch has the threads as before."""
+    seen = []
+    monkeypatch.setattr(
+        "mapdata.models.evaluate.compare_planners",
+        lambda *_, **__: seen.append(torch.get_num_threads()),
+    )
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        evaluate_planners([], preset="dungeon", maps=3)
+        seen.append(torch.get_num_threads())
+    finally:
+        torch.set_num_threads(before)
+    assert seen == [1, 2]
 
 
 def test_the_script_takes_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

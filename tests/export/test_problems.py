@@ -136,6 +136,12 @@ def test_a_condition_that_no_map_meets_ends_an_export(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_file_that_is_missing_is_no_recipe(tmp_path: Path) -> None:
+    """Files of problems are a source, too, so that its name is all that the error knows."""
+    with pytest.raises(ValueError, match=r"^problems\.npz: no such file or folder$"):
+        export_problems("problems.npz", tmp_path / "out")
+
+
 def test_a_note_names_a_folder_that_a_preset_hides(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

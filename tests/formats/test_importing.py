@@ -20,10 +20,12 @@ from scipy import ndimage
 
 from mapdata import (
     Labels,
+    MapDataModule,
     MapDataset,
     Maps,
     ProblemSet,
     ShardError,
+    build,
     label,
     read_shard,
     repair,
@@ -486,6 +488,16 @@ def test_what_identifies_imported_maps(tmp_path: Path, capsys: pytest.CaptureFix
         for said in (metres, fine.content_hash, "4-connected", "resolution and movement identify"):
             assert said in info
             assert said in card(root)
+
+
+def test_imported_maps_are_not_built_again(tmp_path: Path) -> None:
+    """No recipe makes more of them; a data module reads them without ``build``."""
+    import_maps(tmp_path / "maps", collection(np.zeros((9, 9), np.uint8)))
+    for make in (build, lambda root, recipe: MapDataModule(root, build=recipe).prepare_data()):
+        with pytest.raises(
+            ValueError, match=r"holds maps that were imported, .* leave out the rec"
+        ):
+            make(tmp_path / "maps", "dungeon")
 
 
 def test_an_import_of_several_sizes_prints_a_line_for_each(

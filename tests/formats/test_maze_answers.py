@@ -80,6 +80,20 @@ WIDE = "S   \n    \n   G"
         (QUESTION, "First I tried\nRRRRR\nwhich fails. So\nRRRRDD\nis the answer.", 1),
         (QUESTION, "First I tried\nRRRRDD\nwhich fails. So\nRRRRR\nis the answer.", 0),
         (QUESTION, "The answer is RRRRDD", 0),
+        # Behind a label in one line, or between marks, as chat models write it.
+        (QUESTION, "Answer: RRRRDD", 1),
+        (QUESTION, "**Final answer:** RRRRDD", 1),
+        (QUESTION, "**RRRRDD**", 1),
+        (QUESTION, "`RRRRDD`", 1),
+        (QUESTION, "<answer>RRRRDD</answer>", 1),
+        (QUESTION, "The path is: right, right, right, right, down, down.", 1),
+        (QUESTION, "It is (see below): RRRRDD", 0),
+        (QUESTION, "Answer: RRRRDD, I think", 0),
+        (CLOSED, "Answer: infeasible", 1),
+        # A label separates its answer from the lines before it, and not from those after it.
+        (QUESTION, "RRR\nAnswer: RRRRDD", 1),
+        (QUESTION, "Answer: RRR\nRDD", 1),
+        (QUESTION, "My first answer: RRRRDD\nMy second answer: RRR", 0),
         # The last fenced block counts, whatever stands outside.
         (QUESTION, f"RRRRR\n{FENCE.format(SHORTEST)}\nRRR", 1),
         (QUESTION, f"{FENCE.format('DDR')}\nBetter:\n```text\nDDRRRR\n```", 1),
@@ -131,6 +145,12 @@ def test_a_check_says_why_and_which_moves(answer: str, reason: str, moves: str) 
     """So that a training can print what its model does."""
     check = check_answer(QUESTION, answer)
     assert (check.reason, check.moves) == (reason, moves)
+
+
+def test_long_lines_are_read_in_linear_time() -> None:
+    """A model may repeat itself without end: a pattern that tries all labels would take minutes."""
+    for line in ("answer: ", "answer moves path ", "* _", "answer>"):
+        assert check_answer(QUESTION, 100_000 * line).reason == "no answer"
 
 
 def test_moves_that_leave_the_map() -> None:
@@ -229,11 +249,11 @@ def test_line_ends_around_an_answer_are_ignored() -> None:
         ("", "", "one S and one G"),
         ("S  SG    ", "S  SG    ", "one S and one G"),
         ("SéG ", "SéG ", "expected cells '#' and ' '"),
-        ("S G", "SoG", "got 3 cells, expected a square map"),
-        ("S G", "S G ", "got 3 cells, expected a square map"),
+        ("S G", "SoG", "question: got 3 cells in one line, expected a square map"),
+        ("S G", "S G ", "question: got 3 cells in one line, expected a square map"),
         ("S \n G ", "S \n G ", "got lines of several lengths"),
-        (None, "S  G", "question: got None, expected a text"),
-        ("S  G", None, "answer: got None, expected a text"),
+        (None, "S  G", "question: got a value of type NoneType, expected a text"),
+        ("S  G", None, "answer: got a value of type NoneType, expected a text"),
     ],
 )
 def test_a_question_that_is_no_map_raises_a_format_error(

@@ -100,7 +100,7 @@ def test_wrong_answers_are_counted(root: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "why"),
     [
-        ("x,S G,S G,2", "got 3 cells, expected a square map"),
+        ("x,S G,S G,2", "question: got 3 cells in one line, expected a square map"),
         ("x,S  S,S  S,2", "one S and one G"),
         ("x,S  X,S  X,2", "expected cells"),
         ("x,,,", "one S and one G"),

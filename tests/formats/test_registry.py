@@ -169,6 +169,8 @@ def test_exports_are_recognised_by_their_format(square: Path, tmp_path: Path) ->
         read_any(tmp_path / "text", "zarr")
     with pytest.raises(ValueError, match="scen: does nothing for format images"):
         read_any(tmp_path / "stack.npy", scen=True)
+    with pytest.raises(ValueError, match=r"does nothing for format images; did you mean size\?"):
+        read_any(tmp_path / "stack.npy", sizes="8x8")
 
 
 def test_links_and_pipes_with_the_ending_of_a_table_are_ignored(

@@ -19,7 +19,7 @@ from hypothesis.extra import numpy as arrays
 from PIL import Image
 from scipy import ndimage
 
-from mapdata import read_shard, to_metres
+from mapdata import astar, read_shard, to_metres
 from mapdata.formats import FormatError, Limits, export, read_any, recognise
 from mapdata.formats.images import Pixels, read_pixels
 from mapdata.formats.ros import RosMap, _classify, read, read_map, resampled
@@ -238,6 +238,10 @@ def test_a_map_gives_its_grid(tmp_path: Path) -> None:
         ros_map.grid()
     with pytest.raises(ValueError, match="unknown: got 'wall', expected one of occupied, free"):
         ros_map.grid("wall")  # type: ignore[arg-type]
+    with pytest.raises(
+        ValueError, match=r"got a RosMap, .*; ros_map.grid\(unknown=...\) makes one"
+    ):
+        astar(ros_map, (0, 0), (0, 1))  # type: ignore[arg-type]
 
 
 def test_few_unknown_cells_are_not_called_none(tmp_path: Path) -> None:

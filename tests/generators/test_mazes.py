@@ -119,8 +119,9 @@ def test_seed_points_lie_far_apart() -> None:
         ({"reopened": 1.5}, "reopened: got 1.5, expected a probability"),
         ({"seed_points": 1}, "seed_points: got 1"),
         ({"seed_points": 256}, "seed_points: got 256, expected at most 255"),
-        ({"map_size": (4, 4)}, "seed_points: got 5, expected at most 1"),
-        ({"map_size": (2, 2), "wall": 5}, "seed_points"),
+        ({"map_size": (5, 4)}, "seed_points: got 5, expected at most 2"),
+        ({"map_size": (4, 4)}, "map_size: got (4, 4), expected a maze of at least 2 junctions"),
+        ({"map_size": (2, 2), "wall": 5}, "map_size: got (2, 2)"),
         ({"map_size": (5000, 64)}, "map_size"),
     ],
 )

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from helpers.reference import Cell, neighbours
 
-from mapdata import Forest, Movement, ProblemSet, Terrain, check_path
+from mapdata import Forest, Movement, ProblemSet, Terrain, check_path, evaluate
 from mapdata.arrays import Bytes, Float32s, Ints
 from mapdata.models.learned_planners import GuidedSearch
 from mapdata.search import STEPS
@@ -175,6 +175,16 @@ def test_a_model_without_terrain_plans_as_if_all_free_cells_cost_1() -> None:
     model = replace(random_predictor(problems, 2), takes_terrain=False)
     planner = GuidedSearch("search", model)
     assert all_plans(planner, problems, problems.terrain) == all_plans(planner, problems, None)
+
+
+def test_the_problems_must_have_the_movement_of_the_model() -> None:
+    """Also where the model is behind a planner."""
+    problems = ProblemSet.sample("dungeon", maps=1, problems="random")
+    planner = GuidedSearch("guided", random_predictor(problems, 0))
+    evaluate([planner], problems, bootstrap=1)
+    others = ProblemSet.sample("dungeon", maps=1, problems="random", movement=Movement(8))
+    with pytest.raises(ValueError, match=r"guided is for Movement\(connectivity=4"):
+        evaluate([planner], others, bootstrap=1)
 
 
 def test_terrain_that_does_not_fit_the_grids_is_refused() -> None:

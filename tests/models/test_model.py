@@ -7,7 +7,10 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from helpers.training import trainer
 
+from mapdata import MapDataModule, Movement
+from mapdata.models.cost_predictor import CostPredictor
 from mapdata.models.model import load_model
 from mapdata.models.path_predictor import PathPredictor
 
@@ -24,6 +27,21 @@ def test_a_flipped_bit_of_weights_is_refused(tmp_path: Path) -> None:
         file.write_bytes(flipped)
         with pytest.raises(ValueError, match=r"weights\.pt: holds no saved PathPredictor"):
             load_model(file, PathPredictor)
+
+
+@pytest.mark.filterwarnings("ignore:.*does not have many workers which may be a bottleneck")
+@pytest.mark.filterwarnings("ignore:.*isinstance.treespec, LeafSpec.* is deprecated")
+def test_a_model_is_not_trained_on_another_movement_than_its_own() -> None:
+    """It would learn moves that it does not make, and nothing would say so."""
+    one_step = trainer(fast_dev_run=True)
+    for model in (PathPredictor(widths=(8, 8, 8), passes=1), CostPredictor(width=2)):
+        data = MapDataModule(None, build="maze15", problems="random", movement=Movement())
+        with pytest.raises(
+            ValueError, match=r"movement: the model is for .*ty=8.* data for .*ty=4"
+        ):
+            one_step.fit(model, data)
+    model = PathPredictor(connectivity=4, widths=(8, 8, 8), passes=1)
+    one_step.fit(model, MapDataModule(None, build="maze15", problems="random"))
 
 
 def test_an_entry_marked_as_a_folder_is_refused(tmp_path: Path) -> None:

@@ -115,6 +115,7 @@ def test_bad_bands_are_refused_by_name(name: str, band: Any) -> None:
 @pytest.mark.parametrize(
     ("value", "says"),
     [
+        ("hard", r"hard ones are Random\(hardness=\(1.05, None\)\), as text"),
         ("rooms", "problems: got 'rooms', expected one of route, pairs, random"),
         ("rout", "; did you mean route?"),
         ({"randm": {}}, "; did you mean random?"),

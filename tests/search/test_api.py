@@ -8,6 +8,7 @@ import math
 import re
 import threading
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple, TypeAlias
 
@@ -590,6 +591,7 @@ BAD_GRIDS = [
     pytest.param(np.zeros(5), "5|1-?D", id="1-D"),
     pytest.param(np.zeros((2, 3, 4)), "2, 3, 4|3-?D", id="3-D"),
     pytest.param(np.array(0), r"\(\)|0-?D", id="0-D"),
+    pytest.param(Path("map.pgm"), "got a PosixPath, expected an array of 0 free", id="a path"),
     pytest.param(np.array([[0, 2]]), "2", id="a two"),
     pytest.param(np.array([[0, -1]]), "-1", id="minus one"),
     pytest.param(np.array([[0, 255]], dtype=np.uint8), "255", id="an image"),
