@@ -204,11 +204,15 @@ class MapDataModule(_Base):
         self.save_hyperparameters(hyperparameters, logger=False)
 
     def __repr__(self) -> str:
-        return (
-            f"MapDataModule({self.hparams['root']!r}, build={self.build!r}, "
-            f"batch_size={self.batch_size}, fields={self.serving.names}): "
-            f"{self.datasets or 'not set up'}"
+        arguments = (
+            f"{self.hparams['root']!r}, build={self.build!r}, batch_size={self.batch_size}, "
+            f"fields={self.serving.names}, problems={self.serving.problems}"
         )
+        if self.serving.movement is not None:
+            arguments += f", movement={self.serving.movement}"
+        if self.serving.radius:
+            arguments += f", radius={self.serving.radius}"
+        return f"MapDataModule({arguments}): {self.datasets or 'not set up'}"
 
     __str__ = __repr__  # Lightning's own opens all loaders, and so builds a missing dataset
 

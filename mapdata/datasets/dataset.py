@@ -877,6 +877,8 @@ class MapDataset(SampledProblemDataset):
     def __repr__(self) -> str:
         root = self.roots[0] if len(self.roots) == 1 else self.roots
         arguments = f"{root!r}, split={self.split!r}, problems={self.serving.problems}"
+        if self.serving.movement is not None:
+            arguments += f", movement={self.serving.movement}"
         if self.serving.radius:
             arguments += f", radius={self.serving.radius}"
         hashes = [content_hash[:12] for content_hash in self._content_hashes]

@@ -882,6 +882,21 @@ def test_functions_among_the_fields_are_not_kept_in_checkpoints(root: str, tmp_p
     assert next(iter(again.val_dataloader())).own_field.shape == (8,)
 
 
+def test_the_text_of_a_module_and_a_dataset_names_what_they_serve(root: str) -> None:
+    """Also before the set-up: which problems, by which moves, and for which radius."""
+    data = module(root, problems="random", movement=Movement(8), radius=0.1)
+    data.setup("fit")
+    for text in (
+        repr(module(root, problems="random", movement=Movement(8), radius=0.1)),
+        repr(data),
+    ):
+        assert "problems=Random(" in text
+        assert "movement=Movement(connectivity=8" in text
+        assert "radius=0.1" in text
+    assert "movement=Movement(connectivity=8" in repr(data.datasets["train"])
+    assert "movement" not in repr(module(root))
+
+
 # --- several processes --------------------------------------------------------------------------
 
 

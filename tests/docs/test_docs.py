@@ -54,6 +54,7 @@ quiet = pytest.mark.filterwarnings(
     "ignore:.*isinstance.treespec, LeafSpec.* is deprecated",
     "ignore:The number of training batches .* is smaller than the logging interval",
     "ignore:Starting from v1.9.0, `tensorboardX` has been removed",
+    "ignore:Checkpoint directory .* exists and is not empty",
     "ignore:.*TF32",
 )
 
