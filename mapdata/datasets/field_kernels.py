@@ -132,11 +132,10 @@ def _search_around(
     """Find which moves of a map (H, W) begin shortest paths to ``goal`` (row, col), and the costs.
 
     On grids the costs may be left out, as `write_optimal_moves` explains. Returns the ground; and
-    0, or the doubled cost that is too high to be exact.
+    EXACT, or as `shortest_costs_on` what is too high to be exact.
     """
     if cell_costs is None:
-        write_optimal_moves(map_, goal[0], goal[1], needs_costs, lattice, scratch)
-        return None, EXACT
+        return None, write_optimal_moves(map_, goal[0], goal[1], needs_costs, lattice, scratch)
     ground = load_terrain(map_, lattice, cell_costs, scratch.came_from)
     source = np.full(1, cell_at(goal[0], goal[1], lattice))
     return ground, shortest_terrain_costs(source, ground, lattice, scratch)

@@ -103,8 +103,8 @@ def sample_problems(
 
     Returns:
         The start and the goal of each problem (B, 4), -1 if none was found; the first problem whose
-        terrain has a cost that is too high to be exact, and this doubled cost. They are B and 0 if
-        all costs are exact; otherwise the problems from that one on are not sampled.
+        map has a cost that is too high to be exact, and this cost, as kernels return it. They are B
+        and 0 if all costs are exact; otherwise the problems from that one on are not sampled.
     """
     # An argument of None makes numba leave out the kernels that would use it, which take seconds to
     # compile.
@@ -198,18 +198,23 @@ def _sample(
                 goal = nth_cell(board.free, board.stride, number)
             # All attempts for a goal that is given have the same starts.
             if goals is None or attempt == attempts[0]:
+                high_cost = EXACT
                 if far_distance is not None:
-                    _mark_far_starts(maps[b], goal, far_distance, lattice, scratch, board)
+                    high_cost = _mark_far_starts(
+                        maps[b], goal, far_distance, lattice, scratch, board
+                    )
                 if limits is not None:
-                    _mark_starts_by_bits(maps[b], goal, bands, limits, lattice, scratch, board)
+                    high_cost = _mark_starts_by_bits(
+                        maps[b], goal, bands, limits, lattice, scratch, board
+                    )
                 if wide_limits is not None and neighbours is not None:
-                    _mark_starts_by_jumps(
+                    high_cost = _mark_starts_by_jumps(
                         maps[b], goal, bands, wide_limits, neighbours, lattice, scratch, board
                     )
                 if cell_costs is not None:
                     high_cost = _mark_terrain_starts(goal, bands, padded, lattice, scratch, board)
-                    if high_cost:
-                        return ends, b, high_cost
+                if high_cost:
+                    return ends, b, high_cost
             start_count = count_bits(board.reached, 0, len(board.free))
             if start_count == 0:
                 if goals is not None:
@@ -226,7 +231,7 @@ def _sample(
             ends[b, 0], ends[b, 1] = start
             ends[b, 2], ends[b, 3] = goal
             break
-    return ends, count, np.int64(0)
+    return ends, count, EXACT
 
 
 @kernel
@@ -247,7 +252,7 @@ def _mark_far_starts(
     lattice: Lattice,
     scratch: Scratch,
     board: Board,
-) -> None:
+) -> Int:
     """Make ``board.reached`` the cells whose shortest path to ``goal`` is long enough.
 
     Args:
@@ -257,6 +262,9 @@ def _mark_far_starts(
         lattice: of the map.
         scratch: memory for `shortest_costs`.
         board: of the map.
+
+    Returns:
+        EXACT, or TOO_LONG, as `shortest_costs`.
     """
     row, column = goal
     max_levels: Int = 5 * sum(grid.shape) // 4
@@ -272,13 +280,15 @@ def _mark_far_starts(
         # A path with diagonal moves may cost less than its level. So cells that are far enough by
         # their level need not be by their cost; but there may be no such cells.
         if all_are_near or lattice.diagonals == NO_DIAGONALS or min_distance == 1:
-            return
+            return EXACT
         max_cost = math.ceil(min_distance)
     else:
         board.reached.fill(0)
     load(grid, scratch.came_from)
     goal_cell = cell_at(row, column, lattice)
-    shortest_costs(np.full(1, goal_cell), max_cost, lattice, scratch)
+    high_cost = shortest_costs(np.full(1, goal_cell), max_cost, lattice, scratch)
+    if high_cost:
+        return high_cost
     optimal_moves = scratch.came_from
     optimal_moves[goal_cell] = 1  # The goal has no moves, but its cost is known, as theirs is.
     for cell in range(lattice.cells):
@@ -288,6 +298,7 @@ def _mark_far_starts(
             board.reached[word] |= bit_at(column)
             if in_cells(scratch.g[cell]) < min_distance:
                 board.reached[word] ^= bit_at(column)
+    return EXACT
 
 
 @kernel
@@ -347,7 +358,7 @@ def _mark_starts_by_bits(
     lattice: Lattice,
     scratch: Scratch,
     board: Board,
-) -> None:
+) -> Int:
     """Make ``board.reached`` the cells within all bands under 4 neighbours.
 
     Args:
@@ -358,13 +369,20 @@ def _mark_starts_by_bits(
         lattice: of the map.
         scratch: memory for `shortest_costs`.
         board: of the map.
+
+    Returns:
+        EXACT, or TOO_LONG, as `shortest_costs`.
     """
     # Bits are slow in mazes, which have many levels.
-    if not flood_within(goal[0], goal[1], limits, board):
-        load(grid, scratch.came_from)
-        sources = np.full(1, cell_at(goal[0], goal[1], lattice))
-        shortest_costs(sources, _end_of_search(1.0, bands), lattice, scratch)
-        _mark_costs_within(grid.shape, goal, bands, lattice, scratch.g, board)
+    if flood_within(goal[0], goal[1], limits, board):
+        return EXACT
+    load(grid, scratch.came_from)
+    sources = np.full(1, cell_at(goal[0], goal[1], lattice))
+    high_cost = shortest_costs(sources, _end_of_search(1.0, bands), lattice, scratch)
+    if high_cost:
+        return high_cost
+    _mark_costs_within(grid.shape, goal, bands, lattice, scratch.g, board)
+    return EXACT
 
 
 @kernel
@@ -377,7 +395,7 @@ def _mark_starts_by_jumps(
     lattice: Lattice,
     scratch: Scratch,
     board: Board,
-) -> None:
+) -> Int:
     """Make ``board.reached`` the cells within all bands under 8 neighbours.
 
     Args:
@@ -389,6 +407,9 @@ def _mark_starts_by_jumps(
         lattice: of the map.
         scratch: memory for `jump_costs`.
         board: of the map.
+
+    Returns:
+        EXACT, or TOO_LONG, as `jump_costs`.
     """
     distances, _, lengths = bands
     # Bits may show that there is no start, in less time than the costs take. They seldom do unless
@@ -397,10 +418,14 @@ def _mark_starts_by_jumps(
     if is_far and lattice.diagonals == NO_CORNER_CUTTING:
         is_complete = flood_within(goal[0], goal[1], wide_limits, board)
         if is_complete and count_bits(board.reached, 0, len(board.reached)) == 0:
-            return
+            return EXACT
     goal_cell = cell_at(goal[0], goal[1], lattice)
-    jump_costs(goal_cell, _end_of_search(1.5, bands), neighbours, lattice, scratch)
+    max_cost = _end_of_search(1.5, bands)
+    high_cost = jump_costs(goal_cell, max_cost, neighbours, lattice, scratch)
+    if high_cost:
+        return high_cost
     _mark_costs_within(grid.shape, goal, bands, lattice, scratch.g, board)
+    return EXACT
 
 
 @kernel

@@ -18,7 +18,7 @@ from mapdata.checks import check_choice
 from mapdata.hints import hint_on_values
 from mapdata.limits import MAX_CELL_COST
 from mapdata.movement import Movement, check_movement
-from mapdata.search.ground import as_ground
+from mapdata.search.ground import TOO_LONG, as_ground
 from mapdata.search.jump_points import jump_to_goals
 from mapdata.search.kernels import (
     Scratch,
@@ -296,12 +296,11 @@ def solve_by_jump_points(
     check_jump_points(movement)
     rule = move_rule(movement)
     grid_stack, start_cells, goal_cells = _as_problems(grids, starts, goals)
-    cells, moves, expansions, looks, offsets, done = jump_to_goals(
+    solved, looks = jump_to_goals(
         grid_stack, start_cells, goal_cells, *_lattice_and_scratch(grid_stack, rule)
     )
-    _check_all_done(done, grid_stack, start_cells, goal_cells)
-    costs = _costs_of_moves(moves, movement)
-    return BatchResult(cells, offsets, costs, expansions), looks
+    _check_all_solved(solved, grid_stack, start_cells, goal_cells)
+    return _as_batch_result(solved, None, movement), looks
 
 
 def solve_by_goal_fields(
@@ -583,7 +582,7 @@ def _search(
         costs = as_terrain(terrain, array)
         if weights is ASTAR:
             return _search_on_terrain(costs, array, start_cell, goal_cell, movement)
-    path, straight, diagonal, expansions = solve_problem(
+    path, straight, diagonal, expansions, high_cost = solve_problem(
         array,
         *start_cell,
         *goal_cell,
@@ -592,6 +591,8 @@ def _search(
         rule,
         _scratch_memory(array, rule),
     )
+    if high_cost:
+        raise ValueError(high_cost_complaint(high_cost))
     # Every search expands its start, so 0 says that the kernel refused the problem.
     if expansions == 0:
         raise ValueError(_problem_complaint(array, start_cell, goal_cell))
@@ -874,13 +875,21 @@ def values_complaint(grid: Array) -> str:
     )
 
 
-def high_cost_complaint(doubled_cost: int) -> str:
-    """Return the error message for a cost on terrain, doubled and in 1 / UNIT, that is not exact.
+def high_cost_complaint(high_cost: int) -> str:
+    """Return the error message for a cost that is not exact.
 
     Callers that know the number of the map put it before this message.
+
+    Args:
+        high_cost: as kernels return it: doubled and in 1 / UNIT on terrain, TOO_LONG on a grid.
     """
+    if high_cost == TOO_LONG:
+        return (
+            f"the grid has paths of {MAX_PATH_COST} cells or more, for which costs are not exact: "
+            "expected a coarser grid, or a search that counts moves (A* under 4-connectivity, BFS)"
+        )
     return (
-        f"terrain: a path costs {doubled_cost / (2 * UNIT):,.0f}, and costs are exact only below "
+        f"terrain: a path costs {high_cost / (2 * UNIT):,.0f}, and costs are exact only below "
         f"{MAX_PATH_COST / 2:,.0f}: divide the terrain by a number, or let diagonal moves cost 1"
     )
 
@@ -891,7 +900,7 @@ def check_cost(map_numbers: Ints, row: int, high_cost: int) -> None:
     Args:
         map_numbers: (B,) numbers of the maps of a batch.
         row: of the map in the batch, as kernels return it.
-        high_cost: its doubled cost, as kernels return it; 0 if all costs are exact.
+        high_cost: as kernels return it; 0 if all costs are exact.
 
     Raises:
         ValueError: such a cost; the message has the number of the map.

@@ -27,6 +27,7 @@ import numpy as np
 from mapdata.arrays import Bytes, Ints, Words
 from mapdata.generators.maps import WORD
 from mapdata.jit import Int, inlined, kernel
+from mapdata.search.ground import EXACT
 from mapdata.search.kernels import Scratch, shortest_costs
 from mapdata.search.lattice import INFINITY, NO_DIAGONALS, Lattice, cell_at, load
 
@@ -85,7 +86,7 @@ class Board(NamedTuple):
 @kernel
 def write_optimal_moves(
     grid: Bytes, row: Int, column: Int, needs_costs: bool, lattice: Lattice, scratch: Scratch
-) -> None:
+) -> Int:
     """Write which moves begin shortest paths to (row, column), for every cell.
 
     Moves alone are found by bits on 4-connected maps, where that is faster. It is not faster in
@@ -99,16 +100,19 @@ def write_optimal_moves(
             content is undefined.
         lattice: of the map.
         scratch: whose ``came_from`` becomes bit sets of moves, as from `shortest_costs`.
+
+    Returns:
+        EXACT, or TOO_LONG, as `shortest_costs`.
     """
     uses_bits = lattice.diagonals == NO_DIAGONALS and not needs_costs and grid.shape[1] >= _BYTE
     if uses_bits and grid[row, column] == 0:
         board = build_board(grid)
         if flood_board(row, column, 5 * sum(grid.shape) // 4, board):
             _write_board_moves(row + column, board, lattice, grid.shape, scratch.came_from)
-            return
+            return EXACT
     load(grid, scratch.came_from)
     sources = np.full(1, cell_at(row, column, lattice))
-    shortest_costs(sources, INFINITY, lattice, scratch)
+    return shortest_costs(sources, INFINITY, lattice, scratch)
 
 
 @inlined

@@ -50,10 +50,12 @@ from mapdata.search.lattice import (
 )
 
 EXACT = np.int64(0)
-"""Stands for a cost that is too high to be exact where there is none.
+"""Stands for a cost that is too high to be exact where there is none; 0 is never too high."""
 
-A cost of 0 is never too high. Only terrain has costs that kernels return as too high: searches of
-grids raise an error instead, since its message needs no number (`mapdata.search.kernels.TOO_LONG`).
+TOO_LONG = np.int64(-1)
+"""Stands for the cost of a path on a grid that is too long for exact costs.
+
+Kernels return it like a cost on terrain that is too high; its message needs no number.
 """
 
 MAX_COST = np.int64(MAX_PATH_COST * UNIT)

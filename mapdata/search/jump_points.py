@@ -31,10 +31,9 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Flags, Ints, UInt32s
 from mapdata.jit import Int, inlined, kernel
-from mapdata.search.ground import is_usable_end
+from mapdata.search.ground import EXACT, TOO_LONG, is_usable_end
 from mapdata.search.kernels import (
     LOWEST_MOVE,
-    TOO_LONG,
     Scratch,
     insert_in_heap,
     remove_heap_top,
@@ -57,6 +56,7 @@ from mapdata.search.lattice import (
     position,
     split_cost,
 )
+from mapdata.search.solving import Solved
 
 _PASSED = np.uint8(252)
 """State of a free cell that a scan has passed, and that is not known to be a jump point."""
@@ -207,8 +207,8 @@ def _search(
     heap: UInt32s,
     f: Ints,
     jumps: Jumps,
-) -> Int:
-    """Run jump point search from ``start`` to ``goal``, and return the number of expansions.
+) -> tuple[Int, Int]:
+    """Run jump point search from ``start`` to ``goal``.
 
     Args:
         start: padded cell, free.
@@ -222,8 +222,9 @@ def _search(
         f: the priorities of its entries.
         jumps: memory for the jumps, from which the path can be read back.
 
-    Raises:
-        ValueError: a path is too long for exact costs.
+    Returns:
+        The number of expansions; and EXACT, or TOO_LONG where the search stopped at a path that is
+        too long for exact costs.
     """
     goal_row, goal_column = position(goal, lattice)
     states[start] = _OPEN
@@ -247,7 +248,7 @@ def _search(
             break
         cost = g[np.uint64(cell)]
         if cost >= MAX_PATH_COST * UNIT:
-            raise ValueError(TOO_LONG)
+            return expansions, TOO_LONG
         moves = _ALL_MOVES
         if cell != start:
             moves = _unpruned_moves(states, cell, np.int64(jumps.moves[np.uint64(cell)]), lattice)
@@ -277,7 +278,7 @@ def _search(
             insert_in_heap(heap, f, heap_size, pushes, new_cost + h)
             heap_size += 1
             pushes += np.uint32(1)
-    return expansions
+    return expansions, EXACT
 
 
 @kernel
@@ -306,7 +307,7 @@ def _count_passed(states: Bytes) -> Int:
 @kernel
 def jump_to_goals(
     grids: Bytes, starts: Ints, goals: Ints, lattice: Lattice, scratch: Scratch
-) -> tuple[Ints, Ints, Ints, Ints, Ints, Int]:
+) -> tuple[Solved, Ints]:
     """Run jump point search from ``starts[b]`` to ``goals[b]`` on ``grids[b]``, for B problems.
 
     Args:
@@ -318,11 +319,7 @@ def jump_to_goals(
             and each of the eight moves of a cell is scanned at most once.
 
     Returns:
-        The cells (M, 2) of all paths, one after another; (B, 2) straight and diagonal moves, (-1,
-        0) without a path, where moves of equal cost all count as straight; (B,) expansions; (B,)
-        numbers of free cells that scans passed, the start included; (B + 1,) offsets of the paths
-        in the cells; and the number of problems solved, less than B if the next one is refused: an
-        end is outside or occupied, or the grid holds other numbers than 0 and 1.
+        The paths; and the numbers of free cells, (B,), that scans passed, the start included.
     """
     count = len(starts)
     jumps = Jumps(
@@ -342,10 +339,10 @@ def jump_to_goals(
             or not is_usable_end(starts[b], grid.shape, 0, lattice, scratch.came_from)
             or not is_usable_end(goals[b], grid.shape, 0, lattice, scratch.came_from)
         ):
-            return cells, moves, expansions, looks, offsets, b
+            return Solved(cells, moves, expansions, offsets, b, EXACT), looks
         start = cell_at(starts[b, 0], starts[b, 1], lattice)
         goal = cell_at(goals[b, 0], goals[b, 1], lattice)
-        expansions[b] = _search(
+        expansions[b], high_cost = _search(
             start,
             goal,
             lattice,
@@ -356,6 +353,8 @@ def jump_to_goals(
             scratch.f,
             jumps,
         )
+        if high_cost:
+            return Solved(cells, moves, expansions, offsets, b, high_cost), looks
         looks[b] = _count_passed(scratch.came_from)
         straight: Int = -1
         diagonal: Int = 0
@@ -369,7 +368,7 @@ def jump_to_goals(
             _write_path(goal, lattice, jumps, cells[used : used + length])
         used += length
         offsets[b + 1] = used
-    return cells[:used], moves, expansions, looks, offsets, count
+    return Solved(cells[:used], moves, expansions, offsets, count, EXACT), looks
 
 
 _NO_MOVE = 8
@@ -460,7 +459,7 @@ def find_free_neighbours(states: Bytes, lattice: Lattice, neighbours: Bytes) -> 
 @kernel
 def jump_costs(
     goal: Int, max_cost: Int, neighbours: Bytes, lattice: Lattice, scratch: Scratch
-) -> None:
+) -> Int:
     """Write the cost of a shortest path from every cell to ``goal``, under 8-connectivity.
 
     A walk from an expanded cell along a move lowers the costs of the cells on its way. It ends
@@ -483,8 +482,8 @@ def jump_costs(
             occupied cells. There is room for all pushes: an expansion makes at most one for each of
             its moves.
 
-    Raises:
-        ValueError: a path is too long for exact costs.
+    Returns:
+        EXACT, or TOO_LONG, as `shortest_costs`.
     """
     moves = scratch.came_from  # the move that led to a pushed cell
     costs = scratch.g
@@ -512,9 +511,10 @@ def jump_costs(
     next_push = np.uint64(2)
     waiting = np.uint64(1)
     bucket = np.int64(0)
+    goes_far = False
     while waiting and bucket < max_cost:
         if bucket >= MAX_PATH_COST:
-            raise ValueError(TOO_LONG)
+            return TOO_LONG
         slot = np.uint64(bucket & last_slot)
         top = np.uint64(bucket_tops[slot])
         bucket_tops[slot] = 0
@@ -546,6 +546,7 @@ def jump_costs(
                         break
                     target += step
                     new_cost += move_cost
+                goes_far |= new_cost >= MAX_PATH_COST * UNIT
                 if next_moves != only_move and next_moves:
                     moves[target] = move
                     pushed[next_push] = target
@@ -555,3 +556,9 @@ def jump_costs(
                     next_push += _ONE
                     waiting += _ONE
         bucket += 1
+    if goes_far and max_cost > MAX_PATH_COST:
+        # A walk that is long enough reaches INFINITY, and ends there without a push.
+        for k in range(lattice.cells):
+            if MAX_PATH_COST * UNIT <= costs[np.uint64(k)] < INFINITY:
+                return TOO_LONG
+    return EXACT

@@ -36,6 +36,7 @@ import numpy as np
 from mapdata.arrays import Bytes, Ints, UInt32s
 from mapdata.jit import Int, inlined, kernel
 from mapdata.movement import STEPS
+from mapdata.search.ground import EXACT, TOO_LONG
 from mapdata.search.lattice import (
     CLOSED,
     CORNER_CUTTING,
@@ -71,11 +72,6 @@ _BUCKETS = 256
 
 LOWEST_MOVE = np.array([0] + [(k & -k).bit_length() - 1 for k in range(1, 256)], np.uint8)
 """(256,) the lowest move of each set of moves that is not empty; bit k stands for move k."""
-
-TOO_LONG = (
-    f"the grid has paths of {MAX_PATH_COST} cells or more, for which costs are not exact: expected "
-    "a coarser grid, or a search that counts moves (A* under 4-connectivity, BFS)"
-)
 
 
 class Scratch(NamedTuple):
@@ -295,7 +291,7 @@ def wipe(scratch: Scratch, pushes: Int) -> None:
 @kernel
 def best_first_buckets(
     start: Int, goal: Int, lattice: Lattice, scratch: Scratch
-) -> tuple[Int, Int]:
+) -> tuple[Int, Int, Int]:
     """Run A* with diagonal moves: the open list is a ring of buckets.
 
     With an admissible and consistent heuristic f never falls along a path, so no heap is needed, as
@@ -323,10 +319,8 @@ def best_first_buckets(
         scratch: with the map loaded in ``came_from``.
 
     Returns:
-        The number of expansions, and the number of pushes plus 1, as `wipe` takes it.
-
-    Raises:
-        ValueError: a path is too long for exact costs.
+        The number of expansions; the number of pushes plus 1, as `wipe` takes it; and EXACT, or
+        TOO_LONG where the search stopped at a path that is too long for exact costs.
     """
     came_from = scratch.came_from
     g = scratch.g
@@ -369,7 +363,7 @@ def best_first_buckets(
             break
         cost = g[cell]
         if cost >= MAX_PATH_COST * UNIT:
-            raise ValueError(TOO_LONG)
+            return expansions, np.int64(pushes), TOO_LONG
         row, column = position(np.int64(cell), lattice)
         straight_g = cost + UNIT
         diagonal_g = cost + lattice.diagonal_cost
@@ -414,7 +408,7 @@ def best_first_buckets(
                 links[push] = bucket_tops[neighbour_bucket]
                 bucket_tops[neighbour_bucket] = pushes
             pushes += np.uint32(1)
-    return expansions, np.int64(pushes)
+    return expansions, np.int64(pushes), EXACT
 
 
 @kernel
@@ -425,7 +419,7 @@ def best_first_heap(
     landmark_costs: Ints | None,
     lattice: Lattice,
     scratch: Scratch,
-) -> tuple[Int, Int]:
+) -> tuple[Int, Int, Int]:
     """Run best-first search with any moves and weights: the open list is a binary heap.
 
     With weights f may fall along a path, so the buckets of `best_first_buckets` do not serve. The
@@ -443,10 +437,8 @@ def best_first_heap(
         scratch: with the map loaded in ``came_from``.
 
     Returns:
-        The number of expansions, and the number of pushes plus 1, as `wipe` takes it.
-
-    Raises:
-        ValueError: a path is too long for exact costs.
+        The number of expansions; the number of pushes plus 1, as `wipe` takes it; and EXACT, or
+        TOO_LONG where the search stopped at a path that is too long for exact costs.
     """
     came_from = scratch.came_from
     g = scratch.g
@@ -476,7 +468,7 @@ def best_first_heap(
             break
         cost = g[cell]
         if cost >= MAX_PATH_COST * UNIT:
-            raise ValueError(TOO_LONG)
+            return expansions, np.int64(pushes), TOO_LONG
         row, column = position(cell, lattice)
         for move in range(len(lattice.offsets)):
             neighbour = np.uint64(cell + lattice.offsets[move])
@@ -509,7 +501,7 @@ def best_first_heap(
             insert_in_heap(heap, f, heap_size, pushes, g_weight * tentative_g + h)
             heap_size += 1
             pushes += np.uint32(1)
-    return expansions, np.int64(pushes)
+    return expansions, np.int64(pushes), EXACT
 
 
 @inlined
@@ -749,7 +741,7 @@ def first_bad_cell(grid: Bytes, path: Ints, diagonals: Int) -> tuple[Int, Int]:
 
 
 @kernel
-def shortest_costs(sources: Ints, max_cost: Int, lattice: Lattice, scratch: Scratch) -> None:
+def shortest_costs(sources: Ints, max_cost: Int, lattice: Lattice, scratch: Scratch) -> Int:
     """Write the costs of shortest paths from every cell to the nearest source, and their moves.
 
     This is Dijkstra's search with buckets one UNIT wide instead of a heap (Dinitz 1978). A move
@@ -770,8 +762,8 @@ def shortest_costs(sources: Ints, max_cost: Int, lattice: Lattice, scratch: Scra
             UNIT, INFINITY without a path and -1 in walls; ``came_from`` (cells,) holds bit sets, in
             which bit k is set if move k begins a shortest path from the cell to a source.
 
-    Raises:
-        ValueError: a path is too long for exact costs.
+    Returns:
+        EXACT, or TOO_LONG where the search stopped at a path that is too long for exact costs.
     """
     optimal_moves = scratch.came_from
     costs = scratch.g
@@ -793,7 +785,7 @@ def shortest_costs(sources: Ints, max_cost: Int, lattice: Lattice, scratch: Scra
     bucket = 0
     while bucket_size and bucket < max_cost:
         if bucket >= MAX_PATH_COST:
-            raise ValueError(TOO_LONG)
+            return TOO_LONG
         later_size = _ZERO
         while bucket_size:
             bucket_size -= _ONE
@@ -839,3 +831,4 @@ def shortest_costs(sources: Ints, max_cost: Int, lattice: Lattice, scratch: Scra
         bucket_cells, later_cells = later_cells, bucket_cells
         bucket_size = later_size
         bucket += 1
+    return EXACT

@@ -365,7 +365,7 @@ def _collect_astar_labels(
     the batch and its room.
 
     Raises:
-        HighCostError: terrain whose costs are too high to be exact.
+        HighCostError: a map whose costs are too high to be exact.
     """
     map_cells, cell_costs = as_ground(batch.grids, terrain)
     # With None, numba leaves out the search for diagonal moves.
@@ -600,7 +600,7 @@ def _fill_costs(
             sums S and D; (-1, 0) without a path.
 
     Returns:
-        EXACT, or the doubled cost that is too high to be exact.
+        EXACT, or as `shortest_costs_on` what is too high to be exact.
     """
     if len(cells) == 0:
         return EXACT
@@ -618,7 +618,9 @@ def _fill_costs(
                 costs[k, 0], costs[k, 1] = sums_of_cost(cost, ground)
     else:
         for k in range(len(cells)):
-            _, pushes = best_first_buckets(source[0], cells[k], lattice, scratch)
+            _, pushes, high_cost = best_first_buckets(source[0], cells[k], lattice, scratch)
+            if high_cost:
+                return high_cost
             costs[k, 0], costs[k, 1] = count_moves(scratch.came_from, source[0], cells[k], lattice)
             wipe(scratch, pushes)
     return EXACT

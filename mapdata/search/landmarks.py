@@ -16,7 +16,7 @@ import numpy as np
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.jit import Int, kernel
-from mapdata.search.ground import EXACT, is_usable_end
+from mapdata.search.ground import EXACT, TOO_LONG, is_usable_end
 from mapdata.search.kernels import (
     Scratch,
     best_first_heap,
@@ -74,7 +74,9 @@ def _farthest(costs: Ints, lattice: Lattice) -> Int:
 
 
 @kernel
-def landmark_costs(grid: Bytes, count: Int, lattice: Lattice, scratch: Scratch) -> tuple[Ints, Int]:
+def landmark_costs(
+    grid: Bytes, count: Int, lattice: Lattice, scratch: Scratch
+) -> tuple[Ints, Int, Int]:
     """Place landmarks on a grid (H, W), and return the costs between them and all cells.
 
     Args:
@@ -84,17 +86,16 @@ def landmark_costs(grid: Bytes, count: Int, lattice: Lattice, scratch: Scratch) 
         scratch: for the searches; it need not be loaded.
 
     Returns:
-        Costs (landmarks, cells) in 1 / UNIT, INFINITY without a path and -1 in walls; and the
-        number of cells that the floods visited to place them, all floods together.
-
-    Raises:
-        ValueError: a path is too long for exact costs.
+        Costs (landmarks, cells) in 1 / UNIT, INFINITY without a path and -1 in walls; the number of
+        cells that the floods visited to place them, all floods together; and EXACT, or TOO_LONG
+        where a path is too long for exact costs.
     """
     costs = np.empty((count, lattice.cells), np.int64)
     load(grid, scratch.came_from)
     first_cell, component_size, free_cells = _largest_component(lattice, scratch)
     load(grid, scratch.came_from)
-    shortest_costs(np.full(1, first_cell), INFINITY, lattice, scratch)
+    if shortest_costs(np.full(1, first_cell), INFINITY, lattice, scratch):
+        return costs[:0], free_cells, TOO_LONG
     # The first landmark is the cell that is farthest from the first one of the component. Each
     # later landmark is farthest from the landmarks before it.
     landmark = _farthest(scratch.g, lattice)
@@ -102,7 +103,8 @@ def landmark_costs(grid: Bytes, count: Int, lattice: Lattice, scratch: Scratch) 
     placed = 0
     while placed < min(count, component_size):
         load(grid, scratch.came_from)
-        shortest_costs(np.full(1, landmark), INFINITY, lattice, scratch)
+        if shortest_costs(np.full(1, landmark), INFINITY, lattice, scratch):
+            return costs[:0], free_cells, TOO_LONG
         for k in range(lattice.cells):
             costs[placed, k] = scratch.g[k]
             nearest[k] = min(nearest[k], scratch.g[k])
@@ -111,7 +113,7 @@ def landmark_costs(grid: Bytes, count: Int, lattice: Lattice, scratch: Scratch) 
     # The components take all free cells. Then there is a flood from the first cell of the largest
     # one, and a flood from each landmark.
     visited = free_cells + (placed + 1) * component_size
-    return costs[:placed], visited
+    return costs[:placed], visited, EXACT
 
 
 @kernel
@@ -150,7 +152,9 @@ def solve_with_landmarks(
         ):
             return Solved(cells, sums, expansions, offsets, b, EXACT), prepared
         if b == 0 or len(grids) > 1:
-            costs, prepared[b] = landmark_costs(grid, landmarks, lattice, scratch)
+            costs, prepared[b], high_cost = landmark_costs(grid, landmarks, lattice, scratch)
+            if high_cost:
+                return Solved(cells, sums, expansions, offsets, b, high_cost), prepared
             load(grid, scratch.came_from)
         start = cell_at(starts[b, 0], starts[b, 1], lattice)
         goal = cell_at(goals[b, 0], goals[b, 1], lattice)
@@ -159,7 +163,11 @@ def solve_with_landmarks(
         usable = costs
         if len(costs) and (costs[0, start] == INFINITY or costs[0, goal] == INFINITY):
             usable = costs[:0]
-        expansions[b], _ = best_first_heap(start, goal, (1, 1.0), usable, lattice, scratch)
+        expansions[b], _, high_cost = best_first_heap(
+            start, goal, (1, 1.0), usable, lattice, scratch
+        )
+        if high_cost:
+            return Solved(cells, sums, expansions, offsets, b, high_cost), prepared
         straight, diagonal = count_moves(scratch.came_from, start, goal, lattice)
         sums[b, 0] = straight
         sums[b, 1] = diagonal

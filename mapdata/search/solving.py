@@ -68,8 +68,9 @@ class Solved(NamedTuple):
         offsets: (B + 1,) int64, where each path begins in ``cells``, and where the last one ends.
         done: number of problems that are solved, less than B if the next one is refused. What the
             arrays hold from that one on has no meaning.
-        high_cost: why it is refused: the doubled cost on its terrain that is too high to be exact;
-            0 if an end is outside or occupied, or its grid holds other numbers than 0 and 1.
+        high_cost: why it is refused: the doubled cost on its terrain that is too high to be exact,
+            or TOO_LONG on a grid; 0 if an end is outside or occupied, or its grid holds other
+            numbers than 0 and 1.
     """
 
     cells: Ints
@@ -89,7 +90,7 @@ class Found(NamedTuple):
         diagonal_sum: second of the sums of `Solved`.
         expansions: number of expansions, 0 if an end is occupied.
         pushes: number of pushes plus 1, as `wipe` takes it.
-        high_cost: the doubled cost that is too high to be exact, at which the search stopped; or 0.
+        high_cost: as in `Solved`, for this search, which stopped there; or 0.
     """
 
     length: Int
@@ -118,11 +119,11 @@ def shortest_costs_on(
         scratch: with the map loaded in ``came_from``; terrain has to be loaded only once.
 
     Returns:
-        EXACT, or the doubled cost that is too high to be exact, at which the search stopped.
+        EXACT; or TOO_LONG or the doubled cost on terrain that is too high to be exact, at which the
+        search stopped.
     """
     if ground is None:
-        shortest_costs(sources, INFINITY, lattice, scratch)
-        return EXACT
+        return shortest_costs(sources, INFINITY, lattice, scratch)
     return shortest_terrain_costs(sources, ground, lattice, scratch)
 
 
@@ -160,12 +161,16 @@ def search_loaded(
                 if diagonals is None:
                     expansions, pushes = astar_manhattan(start, goal, lattice, scratch)
                 else:
-                    expansions, pushes = best_first_buckets(start, goal, lattice, scratch)
+                    expansions, pushes, high_cost = best_first_buckets(
+                        start, goal, lattice, scratch
+                    )
             elif weights == BFS:
                 queue_length = flood(start, np.full(1, goal), lattice, scratch)
                 expansions = expansions_until(scratch.pushed, queue_length, goal)
             else:
-                expansions, pushes = best_first_heap(start, goal, weights, None, lattice, scratch)
+                expansions, pushes, high_cost = best_first_heap(
+                    start, goal, weights, None, lattice, scratch
+                )
         elif weights is None:
             expansions, pushes, high_cost = terrain_astar(start, goal, ground, lattice, scratch)
         else:
@@ -263,26 +268,27 @@ def solve_problem(
     diagonals: Int | None,
     rule: MoveRule,
     memory: Bytes,
-) -> tuple[Ints, Int, Int, Int]:
+) -> tuple[Ints, Int, Int, Int, Int]:
     """Search one problem on ``grid`` (H, W), with ``memory`` for its `Scratch`.
 
     ``diagonals`` are those of the rule, from `diagonal_moves`.
 
     Returns:
         The cells of the path, (k, 2) int64; straight and diagonal moves, (-1, 0) without a path;
-        expansions, 0 if an end is occupied or ``grid`` holds other numbers than 0 and 1.
+        expansions, 0 if an end is occupied or ``grid`` holds other numbers than 0 and 1; and the
+        cost that is too high to be exact, as in `Found`.
     """
     lattice = lattice_of(grid.shape, rule)
     scratch = scratch_view(memory, lattice)
     is_valid = load(grid, scratch.came_from)
     if not is_valid or grid[start_row, start_column] or grid[goal_row, goal_column]:
-        return np.empty((0, 2), np.int64), -1, 0, 0
+        return np.empty((0, 2), np.int64), -1, 0, 0, EXACT
     start = cell_at(start_row, start_column, lattice)
     goal = cell_at(goal_row, goal_column, lattice)
     found = search_loaded(start, goal, weights, diagonals, None, lattice, scratch)
     path = np.empty((found.length, 2), np.int64)
     write_cells(scratch.came_from, goal, lattice, path)
-    return path, found.straight_sum, found.diagonal_sum, found.expansions
+    return path, found.straight_sum, found.diagonal_sum, found.expansions, found.high_cost
 
 
 @kernel

@@ -1437,24 +1437,24 @@ def test_hostile_shards_are_refused_at_first_touch(sound: Path, tmp_path: Path, 
         dataset.table()
 
 
-def test_truncated_and_swapped_shards_are_refused(root: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["truncated", "swapped", "missing"])
+def test_truncated_and_swapped_shards_are_refused(kind: str, root: str, tmp_path: Path) -> None:
     """A file of another size, and a sound file under another's name."""
-    for kind in ("truncated", "swapped", "missing"):
-        copy = tmp_path / kind
-        shutil.copytree(root, copy)
-        manifest = read_manifest(copy)
-        first, second = (copy / entry.name for entry in manifest.shards[:2])
-        if kind == "truncated":
-            first.write_bytes(first.read_bytes()[:-1])
-        elif kind == "swapped":
-            shutil.copy(second, first)
-            rewrite(manifest, copy, bytes=first.stat().st_size)
-        else:
-            first.unlink()
-        dataset = MapDataset(copy)
-        with pytest.raises((ShardError, FileNotFoundError), match=re.escape(str(first))):
-            dataset[0]
-        assert dataset[-1].map.shape == (1, 20, 20)  # the others are sound
+    copy = tmp_path / kind
+    shutil.copytree(root, copy)
+    manifest = read_manifest(copy)
+    first, second = (copy / entry.name for entry in manifest.shards[:2])
+    if kind == "truncated":
+        first.write_bytes(first.read_bytes()[:-1])
+    elif kind == "swapped":
+        shutil.copy(second, first)
+        rewrite(manifest, copy, bytes=first.stat().st_size)
+    else:
+        first.unlink()
+    dataset = MapDataset(copy)
+    with pytest.raises((ShardError, FileNotFoundError), match=re.escape(str(first))):
+        dataset[0]
+    assert dataset[-1].map.shape == (1, 20, 20)  # the others are sound
 
 
 def test_manifests_that_lead_elsewhere_are_refused(root: str, tmp_path: Path) -> None:

@@ -32,6 +32,7 @@ from mapdata.evaluation import (
     GoalFieldAstar,
     JumpPointSearch,
     Limit,
+    Planner,
     Search,
     classical,
 )
@@ -312,13 +313,15 @@ def test_weights_below_zero_or_not_finite_are_refused(weight: float) -> None:
         ([[[0, 0]]], (0, 0), (0, 1), "expected"),
     ],
 )
-def test_bad_problems_are_refused(grid: npt.ArrayLike, start: Cell, goal: Cell, why: str) -> None:
+@pytest.mark.parametrize("planner", classical(), ids=lambda planner: planner.name)
+def test_bad_problems_are_refused(
+    planner: Planner, grid: npt.ArrayLike, start: Cell, goal: Cell, why: str
+) -> None:
     """A cell outside the map or in a wall, other grid values and another rank raise an error, and
     never crash a kernel.
     """
-    for planner in classical():
-        with pytest.raises(ValueError, match=why):
-            planner.plan(np.array(grid, np.uint8), start, goal)
+    with pytest.raises(ValueError, match=why):
+        planner.plan(np.array(grid, np.uint8), start, goal)
 
 
 def test_the_astar_of_neural_astar() -> None:

@@ -154,38 +154,40 @@ def test_no_link_out_of_the_source_is_read(name: str, square: Path, tmp_path: Pa
     assert outcome(read_any, folder, name, **options) == plain
 
 
-def test_problems_are_not_read_through_links(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "linked"), [("warcraft", "train_vertex_weights.npy"), ("transpath", "goals.npy")]
+)
+def test_problems_are_not_read_through_links(name: str, linked: str, tmp_path: Path) -> None:
     """They are of the formats that read several files for one set."""
-    for name, linked in (("warcraft", "train_vertex_weights.npy"), ("transpath", "goals.npy")):
-        folder = tmp_path / name
-        folder.mkdir()
-        WRITERS[name](folder, folder)
-        (path,) = folder.rglob(linked)
-        shutil.move(path, tmp_path / linked)
-        path.symlink_to(tmp_path / linked)
-        split = "train" if name == "warcraft" else "test"
-        with pytest.raises(FormatError, match="a link to outside the folder; 'cp -rL"):
-            read_problems(folder, split=split)
-        assert len(read_problems(folder, split=split, follow_links=True)) == 2
+    folder = tmp_path / name
+    folder.mkdir()
+    WRITERS[name](folder, folder)
+    (path,) = folder.rglob(linked)
+    shutil.move(path, tmp_path / linked)
+    path.symlink_to(tmp_path / linked)
+    split = "train" if name == "warcraft" else "test"
+    with pytest.raises(FormatError, match="a link to outside the folder; 'cp -rL"):
+        read_problems(folder, split=split)
+    assert len(read_problems(folder, split=split, follow_links=True)) == 2
 
 
-def test_a_file_that_the_user_names_may_be_a_link(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["warcraft", "transpath", "images"])
+def test_a_file_that_the_user_names_may_be_a_link(name: str, tmp_path: Path) -> None:
     """Its name is the user's own. The files beside it are those beside the link."""
-    for name in ("warcraft", "transpath", "images"):
-        folder, links = tmp_path / name, tmp_path / f"{name} links"
-        folder.mkdir()
-        links.mkdir()
-        WRITERS[name](folder, folder)
-        paths = [path for path in folder.rglob("*") if path.is_file()]
-        (named,) = (path for path in paths if path.stem in ("train_vertex_weights", "maps", "a"))
-        for path in paths:
-            (links / path.name).symlink_to(path)
-        if name == "images":
-            assert len(read_any(links / named.name, name).maps) == 1
-            continue
-        with pytest.raises(FormatError, match="a link to outside the folder"):
-            read_any(links / named.name, name)
-        assert len(read_any(links / named.name, name, follow_links=True).maps) == 2
+    folder, links = tmp_path / name, tmp_path / f"{name} links"
+    folder.mkdir()
+    links.mkdir()
+    WRITERS[name](folder, folder)
+    paths = [path for path in folder.rglob("*") if path.is_file()]
+    (named,) = (path for path in paths if path.stem in ("train_vertex_weights", "maps", "a"))
+    for path in paths:
+        (links / path.name).symlink_to(path)
+    if name == "images":
+        assert len(read_any(links / named.name, name).maps) == 1
+        return
+    with pytest.raises(FormatError, match="a link to outside the folder"):
+        read_any(links / named.name, name)
+    assert len(read_any(links / named.name, name, follow_links=True).maps) == 2
 
 
 def test_a_folder_of_links_says_why_it_holds_nothing(

@@ -24,11 +24,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mapdata import SearchResult, astar, bfs, check_path, distance_field, terrain_from_costs
-from mapdata.evaluation import BestFirst
+from mapdata.arrays import Bytes
+from mapdata.evaluation import (
+    BatchPlanner,
+    BestFirst,
+    GoalFieldAstar,
+    JumpPointSearch,
+    LandmarkAstar,
+    Search,
+)
 from mapdata.movement import Movement
+from mapdata.problems.sampling import sample_problems
 from mapdata.search import api, search_batch
+from mapdata.search.api import check_cost
+from mapdata.search.ground import TOO_LONG
 from mapdata.search.kernels import search_memory
 from mapdata.search.lattice import move_rule
+from mapdata.search.map_stack import MapStack
 
 OCTILE = Movement(8)
 CUTTING = Movement(8, corner_cutting=True)
@@ -281,11 +293,17 @@ def test_a_map_of_4096_cells_a_side(movement: Movement) -> None:
         assert distance_field(grid, goal)[start] == solution.cost
 
 
-def test_a_path_too_long_for_exact_costs_is_refused() -> None:
-    """A corridor of 2.1 million cells: found where moves are counted, else an error says so."""
+def long_corridor() -> Bytes:
+    """Return a map, (2051, 2051), with one corridor of 2.1 million cells from top to bottom."""
     grid = np.zeros((2051, 2051), dtype=np.uint8)
     grid[1::2] = 1
     grid[np.arange(1, 2051, 2), np.where(np.arange(1025) % 2, 0, 2050)] = 0
+    return grid
+
+
+def test_a_path_too_long_for_exact_costs_is_refused() -> None:
+    """Found where moves are counted, else an error says so."""
+    grid = long_corridor()
     ends = ((0, 0), (2050, 0))
     moves = 1026 * 2050 + 1025 * 2
     assert moves > 2**21
@@ -303,6 +321,56 @@ def test_a_path_too_long_for_exact_costs_is_refused() -> None:
     assert moves - 4 * 2052 == 2**21 - 10
     assert astar(grid, (8, 0), ends[1], OCTILE).cost == moves - 4 * 2052
     assert distance_field(grid, (8, 0), OCTILE)[ends[1]] == moves - 4 * 2052
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("movement", [OCTILE, Movement(8, corner_cutting=True)])
+@pytest.mark.parametrize(
+    "planner_class",
+    [
+        lambda movement: Search("A*", movement, "astar"),
+        lambda movement: BestFirst("weighted", movement, 1.5),
+        lambda movement: JumpPointSearch("jump points", movement),
+        lambda movement: LandmarkAstar("landmarks", movement),
+        lambda movement: GoalFieldAstar("goal field", movement),
+    ],
+)
+def test_every_planner_names_the_problem_whose_path_is_too_long(
+    planner_class: Callable[[Movement], BatchPlanner], movement: Movement
+) -> None:
+    """By the protocol of costs on terrain that are too high."""
+    grid = long_corridor()
+    starts, goals = np.array([[0, 0], [0, 0]]), np.array([[0, 9], [2050, 0]])
+    with pytest.raises(ValueError, match=r"problem [01]: the grid has paths of 2097152 cells or"):
+        planner_class(movement).plan_batch(grid, starts, goals)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("movement", [Movement(), OCTILE, Movement(8, corner_cutting=True)])
+@pytest.mark.parametrize(
+    "conditions",
+    [((1, np.inf), None), ((2**21 + 9, np.inf), None), ((1, np.inf), (1.05, np.inf))],
+)
+def test_sampling_names_the_map_whose_paths_are_too_long(
+    conditions: tuple[tuple[float, float], tuple[float, float] | None], movement: Movement
+) -> None:
+    """As for terrain: the map, and a cost, which is the constant of grids."""
+    distances, hardness = conditions
+    bands = None if hardness is None else (distances, hardness, (2, np.inf))
+    _ends, row, high_cost = sample_problems(
+        MapStack(long_corridor()[None], None),
+        np.array([[0, 0]]),
+        np.uint64(1),
+        0,
+        np.zeros(1, np.int64),
+        (0, 1),
+        distances[0],
+        bands,
+        move_rule(movement),
+    )
+    assert (row, int(high_cost)) == (0, int(TOO_LONG))
+    with pytest.raises(ValueError, match="map 7: the grid has paths of 2097152 cells"):
+        check_cost(np.array([7]), row, high_cost)
 
 
 # --- scratch memory -----------------------------------------------------------------------------
@@ -735,14 +803,20 @@ def test_costs_that_are_none_are_refused(costs: Any, message: str) -> None:
 
 
 @pytest.mark.parametrize("costs", [[[0.5, 0.7]], [[300, 1]]])
-def test_terrain_of_other_costs_names_the_function_that_makes_it(costs: Any) -> None:
-    """Searches are exact, so they do not round by themselves."""
-    for search in (
+@pytest.mark.parametrize(
+    "search",
+    [
         lambda terrain: search_batch("astar", [[0, 0]], [(0, 0)], [(0, 1)], terrain=terrain),
         lambda terrain: astar([[0, 0]], (0, 0), (0, 1), terrain=terrain),
-    ):
-        with pytest.raises(ValueError, match=r"mapdata.terrain_from_costs\(costs, grids\) makes"):
-            search(costs)
+    ],
+    ids=["batch", "one"],
+)
+def test_terrain_of_other_costs_names_the_function_that_makes_it(
+    search: Callable[[Any], Any], costs: Any
+) -> None:
+    """Searches are exact, so they do not round by themselves."""
+    with pytest.raises(ValueError, match=r"mapdata.terrain_from_costs\(costs, grids\) makes"):
+        search(costs)
 
 
 @pytest.mark.parametrize("cell", [(-1, 0), (0, -1), (4, 0), (0, 5), (1, 1)], ids=str)
@@ -777,17 +851,18 @@ BAD_CELLS: list[tuple[float, ...]] = [
 
 @pytest.mark.parametrize("cell", BAD_CELLS, ids=str)
 @pytest.mark.parametrize("search", [bfs, astar])
-def test_a_bad_start_or_goal_is_named(search: Planner, cell: tuple[float, ...]) -> None:
+@pytest.mark.parametrize("name", ["start", "goal"])
+def test_a_bad_start_or_goal_is_named(name: str, search: Planner, cell: tuple[float, ...]) -> None:
     """Outside, negative, occupied, broken, of another length: the message names which of the two,
     and its value.
     """
-    for name, ends in (("start", (cell, (0, 0))), ("goal", ((0, 0), cell))):
-        with pytest.raises(ValueError, match=rf"\b{name}\b") as error:
-            search(WALLED, *ends)
-        message = str(error.value)
-        assert re.search(named(cell) if cell else r"\(\)|\[\]", message), message
-        assert {"start", "goal"} & set(re.findall(r"\w+", message)) == {name}
-        assert "\n" not in message
+    ends = (cell, (0, 0)) if name == "start" else ((0, 0), cell)
+    with pytest.raises(ValueError, match=rf"\b{name}\b") as error:
+        search(WALLED, *ends)
+    message = str(error.value)
+    assert re.search(named(cell) if cell else r"\(\)|\[\]", message), message
+    assert {"start", "goal"} & set(re.findall(r"\w+", message)) == {name}
+    assert "\n" not in message
 
 
 @pytest.mark.parametrize("cell", BAD_CELLS, ids=str)
