@@ -426,12 +426,7 @@ def _outcomes(run: _Run, problems: ProblemSet, reference_expansions: Floats | In
     """Return five outcomes of each problem, (N, 5), whose means the metrics need.
 
     They are: whether it is solved, whether its path is optimal, L / L* (0 for failures), E / E* and
-    max(0, 1 - E / E*).
-
-    Args:
-        run: the measurements of a planner.
-        problems: the problems.
-        reference_expansions: (N,) E*.
+    max(0, 1 - E / E*). ``reference_expansions`` (N,) are E*.
     """
     optimal_costs = problems.optimal.cost
     is_solved = ~np.isnan(run.costs)

@@ -206,10 +206,7 @@ def read_scen(path: StrPath, limits: Limits = LIMITS) -> list[Problem]:
 def _parse_problem(line: str, number: int, path: Path) -> Problem:
     """Return the problem of a line, with NaN as its unit, which depends on all lines of the file.
 
-    Args:
-        line: text of the line.
-        number: number of the line, from 1.
-        path: named in errors.
+    The first line has the number 1.
 
     Raises:
         FormatError: fields are missing, or are no numbers.

@@ -336,11 +336,7 @@ def _fields(line: str, max_count: int = -1) -> list[str]:
 
 
 def _table(name: str, lines: list[str]) -> Array:
-    """Return the numbers of a table, (H, W) float64.
-
-    Args:
-        name: of the map, for errors.
-        lines: its rows.
+    """Return the numbers of a table, (H, W) float64, whose rows are ``lines``.
 
     Raises:
         FormatError: rows of several lengths, or what is not a number.

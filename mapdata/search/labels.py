@@ -56,7 +56,7 @@ memory.
 
 
 class HighCostError(ValueError):
-    """A map on terrain whose costs are too high to be exact.
+    """A map whose costs are too high to be exact.
 
     Attributes:
         map_number: of the map.

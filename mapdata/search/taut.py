@@ -660,11 +660,7 @@ def _nearest_obstacles(
 def _fits(grid: Bytes, cell_row: Int, cell_column: Int, octagon: Octagon) -> Int:
     """Return whether an octagon about the middle of a cell enters no obstacle; it may touch some.
 
-    Args:
-        grid: (H, W) uint8, 1 occupied.
-        cell_row: row of the cell.
-        cell_column: column of the cell.
-        octagon: around the robot.
+    ``grid`` is (H, W) uint8, 1 occupied.
     """
     y = cell_row * CELL + MIDDLE
     x = cell_column * CELL + MIDDLE
@@ -875,13 +871,9 @@ def _begin(row: Int, column: Int, funnel: Funnel) -> None:
 
 @kernel
 def _add_point(row: Int, column: Int, side: Int, funnel: Funnel) -> None:
-    """Move one end of the funnel to a point of the next portal.
+    """Move one end of the funnel, the left one (side 1) or the right one (-1), to a point.
 
-    Args:
-        row: of the point.
-        column: of the point.
-        side: which end: 1 left, -1 right.
-        funnel: to change.
+    The point (row, column) is one of the next portal.
     """
     points, parents, chain, bounds = funnel
     point = bounds[_POINTS]

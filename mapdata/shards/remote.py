@@ -127,9 +127,7 @@ _TEMPORARY_STATUSES = (408, 425, 429)
 def _lasting_refusal(error: Exception, reason: str) -> str | None:
     """Return the text for an error that repeated attempts would not change; None for others.
 
-    Args:
-        error: of fsspec or aiohttp.
-        reason: its text on one line.
+    The error is one of fsspec or aiohttp, and ``reason`` its text on one line.
     """
     status = getattr(error, "status", None)  # of HTTP
     if not isinstance(status, int):
