@@ -1082,6 +1082,7 @@ class MapDataset(SampledProblemDataset):
         grids = self._inflated(stored_grids)
         batch = self._as_batch(numbers, numbers, grids, starts, goals, compute_stored_maps)
         if isinstance(self.serving.problems, Route) and self._labels_serve:
+            # The batch asks for the paths of the search that its fields need.
             batch.compute_paths = lambda search: self.reader.paths(stored, search)
         return batch
 

@@ -373,16 +373,19 @@ def _write_costs(
 def fill_room_matrices(
     maps: Bytes, cell_costs: Bytes | None, seed_points: Ints, lattice: Lattice, scratch: Scratch
 ) -> tuple[Float32s, Int, Int]:
-    """Return (B, R, R) float32 of costs between seed points.
-
-    It is 0 on the diagonal, -1 where there is no connection, and -2 beyond the rooms of a map.
+    """Return the costs of shortest paths between the seed points of each map.
 
     Args:
         maps: (B, H, W) grids or terrain.
-        cell_costs: as from `as_ground`.
+        cell_costs: (cells,) memory for the costs of terrain; None for grids.
         seed_points: (B, R, 2) cells, -1 beyond the rooms of a map.
         lattice: of the maps.
         scratch: memory of the searches.
+
+    Returns:
+        The costs, (B, R, R) float32: 0 on the diagonal, -1 where there is no path, and -2 beyond
+        the rooms of a map; the first map that has a cost that is too high to be exact, or B; and
+        this cost, as `shortest_costs_on` returns it, or EXACT.
     """
     count = len(maps)
     max_rooms = seed_points.shape[1]
@@ -393,15 +396,16 @@ def fill_room_matrices(
             rooms += 1
         cells = cells_of(seed_points[b, :rooms], lattice)
         for i in range(rooms):
-            if i == 0 or cell_costs is None:  # Searches leave the costs of terrain as they are.
+            # A search on a grid overwrites the loaded map with moves, so each one loads it again;
+            # terrain stays. Maps of datasets hold 0 and 1 alone, so loading cannot fail.
+            if i == 0 or cell_costs is None:
                 _, ground = load_map(maps[b], cell_costs, lattice, scratch.came_from)
             high_cost = shortest_costs_on(cells[i : i + 1], ground, lattice, scratch)
             if high_cost:
                 return matrices, b, high_cost
             unit = unit_of(ground)
             for j in range(rooms):
-                # -1 stands for a missing path as well as for no connection.
-                matrices[b, i, j] = cost_in_cells(scratch.g[cells[j]], unit)
+                matrices[b, i, j] = cost_in_cells(scratch.g[cells[j]], unit)  # -1 without a path
             # The robot may have no room on a seed point, whose cost would then be -1.
             matrices[b, i, i] = 0
     return matrices, count, EXACT

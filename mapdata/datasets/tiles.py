@@ -131,7 +131,7 @@ _MAX_SLANT = 32
 """By how many grey levels slanted light brightens one border and darkens the opposite one at most.
 """
 
-_PIXELS_OF_SHIFT = 8
+_PIXELS_PER_SHIFT = 8
 """Jitter moves a picture by at most one pixel for this many pixels of a tile."""
 
 
@@ -591,14 +591,16 @@ class Tiles:
         """Return the pictures, (B, 3, pixels * H, pixels * W) uint8."""
         terrain = batch.stored_terrain
         if terrain is None:
-            terrain = batch.stored_grids ^ np.uint8(1)  # A free cell costs 1.
-        keys = map_keys(terrain)
+            # A free cell costs 1, and 0 stands for an occupied one.
+            terrain = batch.stored_grids ^ np.uint8(1)
+        keys = map_keys(terrain)  # Equal maps have equal pictures, whatever their numbers are.
         pictures = draw_tiles(terrain, keys, self.pixels, self.alike, self.noise, self.seed)
         pictures = after_symmetries(pictures, batch.symmetries)
         if self.jitter:
-            max_shift = self.pixels // _PIXELS_OF_SHIFT
-            seed = np.uint64(batch.sampling_seed)
-            jitters = sample_jitters(seed, batch.epoch, batch.problems, max_shift)
+            # The light is drawn anew in each epoch, as random problems are: from their seed.
+            sampling_seed = np.uint64(batch.sampling_seed)
+            max_shift = self.pixels // _PIXELS_PER_SHIFT
+            jitters = sample_jitters(sampling_seed, batch.epoch, batch.problems, max_shift)
             pictures = jittered(pictures, jitters)
         return pictures
 

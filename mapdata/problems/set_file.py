@@ -277,14 +277,14 @@ def _check_shapes(shapes: Mapping[str, tuple[int, ...]]) -> None:
         ValueError: the message says which shapes were expected.
     """
     maps, starts, goals, *_ = shapes.values()
-    count = starts[:1]
+    one_number = starts[:1]  # the shape of an array with a number for each problem
     # A map that problems share is stored once, so that there may be fewer maps than problems.
-    has_maps = len(maps) == 3 and ("map_indices" in shapes or maps[:1] == count)
-    if not has_maps or starts != (*count, 2) or goals != starts:
+    maps_fit = len(maps) == 3 and ("map_indices" in shapes or maps[:1] == one_number)
+    if not maps_fit or starts != (*one_number, 2) or goals != starts:
         raise ValueError(
             f"{', '.join(shapes)} have shapes {', '.join(map(str, shapes.values()))}, expected "
             "(N, H, W), (N, 2) and (N, 2)"
         )
     for name, shape in shapes.items():
-        if name in _NUMBERS and shape != count:
-            raise ValueError(f"{name} has shape {shape}, expected {count}, a number a problem")
+        if name in _NUMBERS and shape != one_number:
+            raise ValueError(f"{name} has shape {shape}, expected {one_number}, a number a problem")

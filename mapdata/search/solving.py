@@ -307,15 +307,16 @@ def follow_goal_fields(
     each of them it takes the last optimal move, in the order of `STEPS`.
 
     Args:
-        maps: as `solve_problems` takes them, like the other arguments.
-        cell_costs: (cells,), or None.
-        starts: (B, 2).
-        goals: (B, 2).
+        maps: (B, H, W) grids or terrain, or (1, H, W) for a map that all problems share.
+        cell_costs: (cells,) zeros for terrain; None for grids.
+        starts: (B, 2) cells.
+        goals: (B, 2) cells.
         lattice: of the maps.
         scratch: memory of `shortest_costs_on`.
 
     Returns:
-        The paths, with the numbers of free cells that reach the goal in place of expansions.
+        The paths. In place of ``expansions`` there are the numbers of free cells from which a path
+        leads to the goal.
     """
     count = len(starts)
     optimal_moves = scratch.came_from
@@ -349,7 +350,7 @@ def follow_goal_fields(
             sums[b, 0], sums[b, 1] = sums_of_cost(scratch.g[start], ground)
             cell = start
             while True:
-                if used == len(cells):  # To call a kernel for each cell takes a third of the time.
+                if used == len(cells):  # Without this test, the calls take a third of the time.
                     cells = with_capacity(cells, used, 1)
                 cells[used, 0], cells[used, 1] = position(cell, lattice)
                 used += 1
