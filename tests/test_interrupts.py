@@ -87,12 +87,21 @@ def console_script() -> list[str]:
         ("argparse", console_script(), BUILD),
         ("numba.core.config", COMMAND, BUILD),
         ("argparse", ["scripts/build_shards.py"], []),
-        ("matplotlib", ["scripts/evaluate_planners.py"], []),
-        ("matplotlib", ["scripts/evaluate_sampler.py"], []),
-        ("pytorch_lightning", ["scripts/train_lego_sampler.py"], ["fit"]),
-        ("pytorch_lightning", ["scripts/train_path_predictor.py"], ["fit"]),
+        pytest.param("matplotlib", ["scripts/evaluate_planners.py"], [], marks=pytest.mark.slow),
+        pytest.param("matplotlib", ["scripts/evaluate_sampler.py"], [], marks=pytest.mark.slow),
+        pytest.param(
+            "pytorch_lightning", ["scripts/train_lego_sampler.py"], ["fit"], marks=pytest.mark.slow
+        ),
+        pytest.param(
+            "pytorch_lightning",
+            ["scripts/train_path_predictor.py"],
+            ["fit"],
+            marks=pytest.mark.slow,
+        ),
         ("pytorch_lightning", ["-m", "mapdata.models.train"], ["path_predictor", "fit"]),
-        ("matplotlib", ["-m", "mapdata.models.evaluate"], ["planners"]),
+        pytest.param(
+            "matplotlib", ["-m", "mapdata.models.evaluate"], ["planners"], marks=pytest.mark.slow
+        ),
     ],
 )
 def test_ctrl_c_during_an_import_ends_with_one_line(

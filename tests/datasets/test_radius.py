@@ -221,9 +221,18 @@ CASES: list[tuple[str, str, str, Movement | None]] = [
 ]
 """Maps, radius, search and movement, for each way of being solved anew."""
 
+QUICK_CASES = (CASES[1], CASES[3], CASES[-1])
+"""One of each kind: another radius, another search and another movement."""
+
 
 @pytest.mark.parametrize("problems", [Route, Pairs])
-@pytest.mark.parametrize("case", CASES, ids=str)
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(case, marks=() if case in QUICK_CASES else pytest.mark.slow, id=str(case))
+        for case in CASES
+    ],
+)
 def test_stored_problems_are_solved_anew(
     roots: dict[str, str],
     case: tuple[str, str, str, Movement | None],

@@ -66,7 +66,9 @@ def check_sample(sample: Any, obstacles: Any, radius: float = 0) -> None:
         assert float(squared) >= radius**2 * (1 - 3e-7)
 
 
-@pytest.mark.parametrize("movement", [Movement(8), Movement(4)])
+@pytest.mark.parametrize(
+    "movement", [Movement(8), pytest.param(Movement(4), marks=pytest.mark.slow)]
+)
 def test_stored_online_and_augmented_problems_have_taut_lines(
     root: str, movement: Movement
 ) -> None:
@@ -110,7 +112,7 @@ def test_paths_of_planners_have_the_points_of_the_field(family: str, movement: M
     assert refused < 20
 
 
-@pytest.mark.parametrize("augment", [False, True])
+@pytest.mark.parametrize("augment", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_lines_for_a_robot_avoid_the_obstacles_of_the_map_that_is_not_inflated(
     root: str, augment: bool
 ) -> None:

@@ -45,7 +45,32 @@ ELSEWHERE = {
 }
 """Pages with a test of their own."""
 
-SLOW = {"tutorial.md"}
+SOAK = {"tutorial.md"}
+"""Pages whose code takes minutes."""
+
+SLOW = {
+    f"howto/{name}.md"
+    for name in (
+        "coming_from",
+        "costmap",
+        "images",
+        "maze_hard",
+        "planner",
+        "terrain",
+        "text",
+        "waypoints",
+    )
+}
+"""Pages whose code takes seconds."""
+
+
+def marks(page: str) -> pytest.MarkDecorator | tuple[()]:
+    """Return the mark of a page's test."""
+    if page in SOAK:
+        return pytest.mark.soak
+    return pytest.mark.slow if page in SLOW else ()
+
+
 PAGES = sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
 NOTEBOOK = DOCS / "first_look.ipynb"
 
@@ -68,11 +93,7 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.mark.usefixtures("_in_an_empty_folder")
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(name, marks=pytest.mark.soak if name in SLOW else ())
-        for name in PAGES
-        if name not in ELSEWHERE
-    ],
+    [pytest.param(name, marks=marks(name)) for name in PAGES if name not in ELSEWHERE],
 )
 def test_every_block_runs(name: str) -> None:
     """In an empty folder, in the order of the page, and the pictures that it names are there."""

@@ -196,7 +196,10 @@ def fit(model: CostPredictor, steps: int) -> CostPredictor:
     return model
 
 
-@pytest.mark.parametrize(("loss", "highest"), [("paths", 0.10), ("terrain", 0.10)])
+@pytest.mark.parametrize(
+    ("loss", "highest"),
+    [("paths", 0.10), pytest.param("terrain", 0.10, marks=pytest.mark.slow)],
+)
 def test_the_model_learns_costs(loss: str, highest: float) -> None:
     """After a short training the regret on new maps is far below that of equal costs, 46 %."""
     torch.manual_seed(0)

@@ -198,6 +198,7 @@ def test_the_curve_has_the_driven_cells_and_a_range(costmap: Costmap) -> None:
     assert "obstacle" in axes.get_xlabel()
 
 
+@pytest.mark.slow
 def test_the_fit_is_repeatable() -> None:
     """The same seed gives the same costs, and leaves the caller's random numbers alone."""
     import torch

@@ -623,7 +623,7 @@ def test_learns_quickly(tmp_path: Path) -> None:
     assert table.success["path_predictor (walk)"] == 1
 
 
-@pytest.mark.parametrize("connectivity", [4, 8])
+@pytest.mark.parametrize("connectivity", [pytest.param(4, marks=pytest.mark.slow), 8])
 def test_learns_from_map_start_goal_path(tmp_path: Path, connectivity: int) -> None:
     """The default fields of a batch are enough: after the training the predictions for all cells of
     other maps are better.

@@ -37,7 +37,14 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
         yield running
 
 
-@pytest.fixture(scope="module", params=["small", "wide", "imported"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        "small",
+        pytest.param("wide", marks=pytest.mark.slow),
+        pytest.param("imported", marks=pytest.mark.slow),
+    ],
+)
 def root(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a dataset: one of 4-connected maps, one with diagonals, one without rooms."""
     folder = tmp_path_factory.mktemp(request.param) / "d"
@@ -285,6 +292,7 @@ def test_text_from_files_stays_text(browser: Browser, tmp_path: Path) -> None:
     assert browser.errors != []
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_a_large_report_is_small(browser: Browser, tmp_path: Path) -> None:
     """It is below 300 kB, with a sample of the maps."""

@@ -138,7 +138,7 @@ def test_search_equals_the_reference(
 
 @planners
 @movements
-@pytest.mark.parametrize("density", [0.02, 0.3])
+@pytest.mark.parametrize("density", [pytest.param(0.02, marks=pytest.mark.slow), 0.3])
 def test_search_equals_the_reference_far_away(
     search: Planner, truth: Truth, movement: Movement, density: float
 ) -> None:
@@ -273,6 +273,7 @@ def test_the_largest_grid_works(shape: tuple[int, int]) -> None:
     assert distance_field(grid, (0, 0))[end] == 2**21 - 1
 
 
+@pytest.mark.slow
 @movements
 def test_a_map_of_4096_cells_a_side(movement: Movement) -> None:
     """Around a wall on the largest map: the cost is that of the corner which the path must take."""

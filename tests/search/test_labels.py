@@ -115,7 +115,13 @@ def test_small_maps_equal_the_reference(name: str, movement: Movement) -> None:
 
 
 @movements
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name == "dungeon128" else ())
+        for name in PRESETS
+    ],
+)
 def test_presets_equal_the_reference(name: str, movement: Movement) -> None:
     """Everything that `label` gives, for maps of all presets."""
     maps = generate(replace(MapSpec.preset(name), movement=movement), 1, range(PRESETS[name]))

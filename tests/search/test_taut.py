@@ -354,7 +354,7 @@ SMALL_FAMILIES: tuple[MapGenerator, ...] = (
 )
 
 
-@pytest.mark.parametrize("radius", [0.5, 1.5, 2.5])
+@pytest.mark.parametrize("radius", [pytest.param(0.5, marks=pytest.mark.slow), 1.5, 2.5])
 def test_lines_for_a_robot_are_nearly_as_short_as_a_visibility_graph(radius: float) -> None:
     """Longer by the octagon alone, where the line and the graph's pass obstacles alike."""
     source = np.random.default_rng(21)
