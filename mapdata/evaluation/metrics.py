@@ -159,7 +159,8 @@ def evaluate(
     if not isinstance(problems, ProblemSet):
         raise TypeError(
             f"problems: got {type(problems).__name__}, expected a ProblemSet: "
-            "mapdata.formats.read_problems(file) reads one"
+            "mapdata.formats.read_problems(file) reads one, and ProblemSet.read(root) takes those "
+            "of a dataset"
         )
     for planner in planners:
         _check_planner(planner, problems.movement)

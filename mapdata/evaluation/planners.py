@@ -14,7 +14,7 @@ from mapdata.arrays import Bytes, Ints
 from mapdata.checks import check_count
 from mapdata.evaluation.metrics import BatchPlanner, Plan, Planner
 from mapdata.limits import Cell
-from mapdata.movement import NEURAL_ASTAR, STEPS, Movement
+from mapdata.movement import NEURAL_ASTAR, STEPS, Movement, check_movement
 from mapdata.search.api import (
     BatchResult,
     astar,
@@ -49,6 +49,7 @@ def classical(movement: Movement = Movement(8), *, terrain: bool = False) -> lis
      'weighted A* (2)', 'weighted A* (3)', 'greedy best-first', 'jump point search',
      'A* with 8 landmarks', 'A* with the exact goal field', 'limit']
     """
+    check_movement(movement)
     planners: list[Planner] = [
         Search("BFS", movement, "bfs"),
         BestFirst("Dijkstra", movement, weight=0),

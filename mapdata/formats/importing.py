@@ -126,10 +126,16 @@ def import_maps(
         progress: show a progress bar.
 
     Raises:
+        TypeError: ``source`` is no `Collection`, but a file, for example.
         ValueError: bad arguments, no usable map, maps with and without terrain, or a root that
             holds something else.
         OSError: the disk is full or may not be written to.
     """
+    if not isinstance(source, Collection):
+        raise TypeError(
+            f"source: got {type(source).__name__}, expected a Collection: "
+            "mapdata.formats.read_any(file) reads one, with the options of its format"
+        )
     root = target_folder(root)
     check_seed(seed)
     fractions = check_fractions(splits)

@@ -39,11 +39,17 @@ _LINES = (
 )
 """What a line of an answer is, apart from those of a marked maze."""
 
-_LABEL_WORD = re.compile(r"\b(?:answer|solution|path|moves)\b", re.I)
+_LABEL_WORD = re.compile(r"\b(?:answer|solution|path|moves|directions)\b", re.I)
 """What a label has, behind which an answer stands in the same line."""
 
-_MARKS_OF_CHAT = " \t*_`."
-"""Marks of bold and slanted text and of code, and the end of a sentence, around an answer."""
+_ENDS_OF_LABELS = (":", ">", "=", " is ")
+"""What ends a label."""
+
+_ENDS_OF_TEXT = ("</s>", "<|im_end|>", "<|endoftext|>", "<|eot_id|>", "</answer>")
+"""What may follow an answer in the same line: tags, and the last tokens of models."""
+
+_MARKS_OF_CHAT = " \t*_`.$'\"()[]{}"
+"""Marks of bold and slanted text, code, formulas and quotations around an answer."""
 
 _OCCUPIED, _FREE, _START, _GOAL, _MARK = np.frombuffer(b"# SGo", np.uint8)
 """The ASCII codes of the cells."""
@@ -139,10 +145,13 @@ def check_answer(question: str, answer: str) -> AnswerCheck:
 
     Other text may stand around the answer, in lines of its own, which are ignored. Moves, letters
     and "infeasible" may also stand in one line behind a label, which is any text that has one of
-    the words answer, solution, path or moves and ends with a colon, or ``<answer>``; and between
-    marks of bold text or code: ``**Answer:** RRD``. First, each copy
-    of the question is dropped. If there are fenced blocks (lines of three backticks), the last one
-    that is not empty is read, and otherwise the last consecutive lines of one of these forms. Two
+    the words answer, solution, path, moves or directions and ends with a colon, "=" or "is", or
+    ``<answer>``; between marks of bold text, code or quotations, or in ``\boxed{}``; and before
+    the last token of a model: ``**Answer:** RRD</s>``.
+
+    First, each copy of the question is dropped; only where S and G are neighbours it is the right
+    marked maze. If there are fenced blocks (lines of three backticks), the last one that is not
+    empty is read, and otherwise the last consecutive lines of one of these forms. Two
     answers there score 0.
 
     The marked cells of a longer path must form a line without branches: each has two neighbours
@@ -170,8 +179,12 @@ def check_answer(question: str, answer: str) -> AnswerCheck:
     parts = _parts_of_answer(answer.replace("\r\n", "\n").split("\n"), parsed)
     answers = _answers_that_count(parts)
     if not answers:
-        is_copy = any(part.name == _COPY for part in parts)
-        return AnswerCheck(0.0, "a copy of the question" if is_copy else "no answer", "")
+        if not any(part.name == _COPY for part in parts):
+            return AnswerCheck(0.0, "no answer", "")
+        shortest = astar(parsed.is_occupied, parsed.start, parsed.goal).path
+        if len(shortest) == 2:  # No cell lies between: the marked maze is the question itself.
+            return AnswerCheck(1.0, "a shortest path", letters_of_path(shortest))
+        return AnswerCheck(0.0, "a copy of the question", "")
     if len(answers) > 1:
         return AnswerCheck(0.0, "two answers", "")
     (given,) = answers
@@ -296,11 +309,15 @@ def _without_label(line: str) -> tuple[str, str]:
     >>> _without_label("**Answer:** RRD"), _without_label("<answer>down</answer>")
     (('**Answer:', 'RRD'), ('<answer>', 'down'))
     """
-    text = line.strip().removesuffix("</answer>")
-    label = text[: max(text.rfind(":"), text.rfind(">")) + 1]
+    text = line.strip()
+    for end in _ENDS_OF_TEXT:
+        text = text.removesuffix(end).rstrip()
+    ends = [text.rfind(end) + len(end) for end in _ENDS_OF_LABELS if end in text]
+    label = text[: max(ends, default=0)]
     if not _LABEL_WORD.search(label):
         label = ""
-    return label, text[len(label) :].strip(_MARKS_OF_CHAT)
+    answer = text[len(label) :].strip(_MARKS_OF_CHAT)
+    return label, answer.removeprefix("\\boxed").strip(_MARKS_OF_CHAT)
 
 
 def _marked_rows(lines: Sequence[str], maze: Question) -> str:

@@ -21,7 +21,7 @@ from mapdata.generators.maps import Maps
 from mapdata.generators.recipe import RecipeLike, as_recipe, generate
 from mapdata.hashing import canonical_json
 from mapdata.limits import SPLITS, Size
-from mapdata.movement import Movement
+from mapdata.movement import Movement, check_movement
 from mapdata.problems.nearest import nearest_text, nothing_seen, see_values
 from mapdata.problems.sampling import sample_problems, solve_pairs
 from mapdata.problems.set_file import StoredSet, different_maps, hash_fault, read_set, write_set
@@ -494,6 +494,8 @@ class ProblemSet:
         >>> tiles.starts[0].tolist(), tiles.goals[0].tolist()
         ([0, 0], [11, 11])
         """
+        if movement is not None:
+            check_movement(movement)
         if maps is None and until_hard is not None:
             maps = _MAPS_PER_HARD_PROBLEM * check_count("until_hard", until_hard)
         recipe = as_recipe(recipe, seed=seed, maps=maps)
@@ -557,6 +559,8 @@ class ProblemSet:
             ValueError: no such split, or one without maps; what `sample` refuses.
         """
         check_choice("split", split, SPLITS)
+        if movement is not None:
+            check_movement(movement)
         dataset = Root.open(root, follow_links=follow_links)
         dataset.check_begun()
         map_counts = {

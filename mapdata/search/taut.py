@@ -312,7 +312,7 @@ def to_metres(
 
     Raises:
         ValueError: points and cells, or neither; another shape of them; cells that are not
-            integers; an origin without yaw.
+            integers, or padding of -1; an origin without yaw.
 
     >>> to_metres(points=[[2, 0], [0.5, 0.5]], rows=2, resolution=0.1)
     array([[0.  , 0.  ],
@@ -332,6 +332,11 @@ def to_metres(
             raise ValueError(
                 f"cells: got numbers of {np.asarray(cells).dtype}, expected integers; points= "
                 "takes others"
+            )
+        if (np.asarray(cells) == -1).any():
+            raise ValueError(
+                "cells: got -1, the padding of paths in batches, expected cells: "
+                "path[path[:, 0] >= 0] leaves it out"
             )
         name, from_corner = "cells", np.asarray(cells) + 0.5
     if from_corner.shape[-1:] != (2,):

@@ -303,6 +303,13 @@ def test_weights_below_zero_or_not_finite_are_refused(weight: float) -> None:
         BestFirst("weighted", Movement(), weight)
 
 
+def test_a_number_is_no_movement() -> None:
+    """Neither for planners nor for problems: the error names what is expected."""
+    for ask in (classical, lambda movement: ProblemSet.sample("dungeon", movement=movement)):
+        with pytest.raises(ValueError, match=r"got 8, expected a Movement, such as Movement\(8\)"):
+            ask(8)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
     ("grid", "start", "goal", "why"),
     [

@@ -490,6 +490,12 @@ def test_what_identifies_imported_maps(tmp_path: Path, capsys: pytest.CaptureFix
             assert said in card(root)
 
 
+def test_a_file_in_place_of_a_collection_is_refused(tmp_path: Path) -> None:
+    """The error names the function that reads it."""
+    with pytest.raises(TypeError, match=r"source: got str, expected a Collection: .*read_any"):
+        import_maps(tmp_path / "out", "map.yaml")  # type: ignore[arg-type]
+
+
 def test_imported_maps_are_not_built_again(tmp_path: Path) -> None:
     """No recipe makes more of them; a data module reads them without ``build``."""
     import_maps(tmp_path / "maps", collection(np.zeros((9, 9), np.uint8)))

@@ -71,7 +71,8 @@ WIDE = "S   \n    \n   G"
         (QUESTION, "I cannot solve it.", 0),
         # Copies of the question are dropped.
         (QUESTION, QUESTION, 0),
-        ("SG\n##", "SG\n##", 0),
+        ("SG\n##", "SG\n##", 1),  # No cell lies between, so this is the marked maze.
+        ("SG##", "SG##", 1),
         ("SG\n##", "SG\n##\nright", 1),
         (QUESTION, f"{QUESTION}\n{SHORTEST}", 1),
         (QUESTION, f"{FENCE.format(SHORTEST)}\nThe maze was:\n{FENCE.format(QUESTION)}", 1),
@@ -79,7 +80,7 @@ WIDE = "S   \n    \n   G"
         (QUESTION, f"The path goes down first:\n\n{OTHER_SHORTEST}\n\nDone.", 1),
         (QUESTION, "First I tried\nRRRRR\nwhich fails. So\nRRRRDD\nis the answer.", 1),
         (QUESTION, "First I tried\nRRRRDD\nwhich fails. So\nRRRRR\nis the answer.", 0),
-        (QUESTION, "The answer is RRRRDD", 0),
+        (QUESTION, "The answer may be RRRRDD", 0),
         # Behind a label in one line, or between marks, as chat models write it.
         (QUESTION, "Answer: RRRRDD", 1),
         (QUESTION, "**Final answer:** RRRRDD", 1),
@@ -89,6 +90,13 @@ WIDE = "S   \n    \n   G"
         (QUESTION, "The path is: right, right, right, right, down, down.", 1),
         (QUESTION, "It is (see below): RRRRDD", 0),
         (QUESTION, "Answer: RRRRDD, I think", 0),
+        (QUESTION, "The answer is RRRRDD.", 1),
+        (QUESTION, "The wall is right", 0),
+        (QUESTION, "Answer = [R, R, R, R, D, D]", 1),
+        (QUESTION, r"$\boxed{RRRRDD}$", 1),
+        (QUESTION, r"The answer is \boxed{RRRRDD}.", 1),
+        (QUESTION, "RRRRDD<|im_end|>", 1),
+        (QUESTION, "<answer>RRRRDD</answer></s>", 1),
         (CLOSED, "Answer: infeasible", 1),
         # A label separates its answer from the lines before it, and not from those after it.
         (QUESTION, "RRR\nAnswer: RRRRDD", 1),

@@ -615,6 +615,7 @@ def test_points_and_origins_of_another_shape_are_refused() -> None:
         ({"points": [1, 2], "cells": [1, 2]}, "points and cells: got both, expected one"),
         ({"cells": [1.0, 2.0]}, "cells: got numbers of float64, expected integers; points= takes"),
         ({"cells": [1, 2, 3]}, r"cells: got shape \(3,\)"),
+        ({"cells": [[1, 2], [-1, -1]]}, "cells: got -1, the padding of paths in batches"),
     ):
         with pytest.raises(ValueError, match=message):
             to_metres(**arguments, rows=3, resolution=0.5)
