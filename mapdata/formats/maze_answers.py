@@ -147,7 +147,7 @@ def check_answer(question: str, answer: str) -> AnswerCheck:
     and "infeasible" may also stand in one line behind a label, which is any text that has one of
     the words answer, solution, path, moves or directions and ends with a colon, "=" or "is", or
     ``<answer>``; between marks of bold text, code or quotations, or in a box of LaTeX; and before
-    the token with which a model ends its text.
+    the last token of a model: "Answer: RRD" and `</s>`.
 
     First, each copy of the question is dropped; only where S and G are neighbours it is the right
     marked maze. If there are fenced blocks (lines of three backticks), the last one that is not
