@@ -119,8 +119,8 @@ class StoredProblems(NamedTuple):
 def _view(array_type: Any, *row_shape: int) -> Any:
     """Return the code generator of a function that turns an address into an array.
 
-    `numba.carray` generates the same code, but with it the first batch of a dataset takes 1.7 s to
-    compile and not 1.4 s.
+    `numba.carray` generates the same code, but makes the first batch of a dataset compile slower:
+    1.7 s instead of 1.4 s.
 
     Args:
         array_type: numba's type of the array.

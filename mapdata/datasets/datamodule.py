@@ -277,7 +277,8 @@ class MapDataModule(_Base):
             logger.log_hyperparams({"data": plain_logged})
 
     def _open(self, split: str) -> Dataset:
-        """Return the dataset of a split."""
+        """Return the dataset of a split; only training samples are augmented and have jitter."""
+        # The fields of `Serving` are keyword arguments of both datasets.
         arguments = vars(self.serving.of_split(split))
         if self.roots:
             return MapDataset(self.roots, split, follow_links=self.follow_links, **arguments)

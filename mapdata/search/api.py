@@ -802,9 +802,9 @@ def _as_bytes(array: Array) -> Bytes:
     if array.dtype == np.bool_:
         return array.view(np.uint8)
     if array.dtype.kind not in "iuf":
+        hint = hint_on_values(array)  # "" or "; it looks like ..."
         raise ValueError(
-            f"grid: got dtype {array.dtype}, expected 0 free and 1 occupied, or bool"
-            f"{hint_on_values(array)}"
+            f"grid: got dtype {array.dtype}, expected 0 free and 1 occupied, or bool{hint}"
         )
     # The kernel is compiled once for each of two dtypes, and for one memory layout.
     wide_dtype = np.int64 if array.dtype.kind in "iu" else np.float64
