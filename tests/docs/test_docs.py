@@ -437,24 +437,54 @@ PAGES_OF_QUERIES = {
 """What newcomers type into the search box, and the page that answers it."""
 
 
-@NEEDS_MKDOCS
-@pytest.mark.slow
-@pytest.mark.skipif(
+NEEDS_NODE = pytest.mark.skipif(
     shutil.which("node") is None, reason="needs node, to run the search of the site"
 )
+
+
+def searched(
+    site: Path, queries: list[str], folder: Path
+) -> tuple[dict[str, list[str]], list[str]]:
+    """Search the site for each query.
+
+    Returns:
+        The pages that each query finds, best first, and the queries that end in an error.
+    """
+    (folder / "queries.json").write_text(json.dumps(queries), encoding="utf-8")
+    program = Path(__file__).parent / "search_site.js"
+    command = ["node", str(program), str(site), str(folder / "queries.json")]
+    process = subprocess.run(command, capture_output=True, text=True, check=True)
+    answer = json.loads(process.stdout)
+    return answer["pages"], answer["errors"]
+
+
+@NEEDS_MKDOCS
+@NEEDS_NODE
+@pytest.mark.slow
 def test_the_search_finds_the_right_page(site: Path, tmp_path: Path) -> None:
     """Among the first two hits of the site's own search."""
-    (tmp_path / "queries.json").write_text(json.dumps([*PAGES_OF_QUERIES]), encoding="utf-8")
-    program = Path(__file__).parent / "search_site.js"
-    command = ["node", str(program), str(site), str(tmp_path / "queries.json")]
-    process = subprocess.run(command, capture_output=True, text=True, check=True)
-    hits = json.loads(process.stdout)
+    hits, errors = searched(site, [*PAGES_OF_QUERIES], tmp_path)
+    assert errors == []
     wrong = {
         query: hits[query][:2]
         for query, page in PAGES_OF_QUERIES.items()
         if page not in hits[query][:2]
     }
     assert not wrong
+
+
+@NEEDS_MKDOCS
+@NEEDS_NODE
+@pytest.mark.slow
+def test_no_word_stops_the_search(site: Path, tmp_path: Path) -> None:
+    """Every beginning of every word of the site, as it is typed, is answered without an error."""
+    index = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))
+    texts = [re.sub("<[^>]*>", " ", f"{doc['title']} {doc['text']}") for doc in index["docs"]]
+    words = {word for text in texts for word in re.findall("[a-z][a-z0-9_]+", text.lower())}
+    typed = {word[:length] for word in words for length in range(1, len(word) + 1)}
+    assert len(typed) > 10_000
+    _, errors = searched(site, sorted(typed), tmp_path)
+    assert errors == []
 
 
 def test_the_index_has_the_sections_of_the_sidebar() -> None:

@@ -480,15 +480,19 @@ def test_ctrl_c_does_not_wait_for_a_shard(tmp_path: Path) -> None:
 @pytest.mark.skipif(os.name == "nt", reason="sends SIGINT")
 @pytest.mark.slow
 def test_the_same_command_goes_on(tmp_path: Path) -> None:
-    """What was finished when it was stopped is not made again."""
-    arguments = ("--maps", 1000, "--shard-size", 250, "--workers", 1)
+    """What was finished when it was stopped is not made again.
+
+    A shard lasts milliseconds: the second, and one after it, may be finished before the signal
+    arrives, but not all eight.
+    """
+    arguments = ("--maps", 2000, "--shard-size", 250, "--workers", 1)
     assert stopped(tmp_path / "maps", 2, *arguments).returncode == 130
     before = stamps(tmp_path / "maps")
-    assert len(before) == 1
+    assert 1 <= len(before) < 8
     assert command("build", tmp_path / "maps", *arguments).returncode == 0
     after = stamps(tmp_path / "maps")
     assert {name: stamp for name, stamp in after.items() if name in before} == before
-    assert sorted(after) == names(1000, 250)[1:]
+    assert sorted(after) == names(2000, 250)[1:]
     assert verify(tmp_path / "maps") == []
 
 
