@@ -56,8 +56,9 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     """
     import difflib  # imported here, because only error messages need it
 
-    matches = difflib.get_close_matches(str(name), known, n=1)
-    return f"; did you mean {matches[0]}?" if matches else ""
+    spelled = {known_name.lower(): known_name for known_name in known}
+    matches = difflib.get_close_matches(str(name).lower(), spelled, n=1)
+    return f"; did you mean {spelled[matches[0]]}?" if matches else ""
 
 
 def known_values(

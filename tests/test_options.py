@@ -5,6 +5,7 @@ from __future__ import annotations
 from inspect import Parameter
 from typing import Literal
 
+from mapdata.checks import did_you_mean
 from mapdata.options import Option, options_of, summary_line
 
 
@@ -47,3 +48,10 @@ def test_positional_parameters_are_options_on_request() -> None:
     }
     assert summary_line(example) == "Show a summary."
     assert summary_line(lambda: None) == ""
+
+
+def test_a_name_in_other_letters_is_meant() -> None:
+    """Capitals alone make no other name."""
+    assert did_you_mean("HRM", ["arrays", "hrm"]) == "; did you mean hrm?"
+    assert did_you_mean("mapspec", ["MapSpec", "Maze"]) == "; did you mean MapSpec?"
+    assert did_you_mean("xyz", ["MapSpec", "Maze"]) == ""

@@ -6,7 +6,7 @@ import math
 import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from mapdata.checks import did_you_mean
 from mapdata.cli.common import import_named, output_path
@@ -23,6 +23,9 @@ def evaluate_command(
     *,
     planner: str | None = None,
     maps: int | None = None,
+    per_map: int = 1,
+    split: Literal["train", "val", "test"] | None = None,
+    radius: float = 0.0,
     connectivity: Literal[4, 8] = 8,
     corner_cutting: bool = False,
     diagonal_cost: float = math.sqrt(2),
@@ -36,15 +39,19 @@ def evaluate_command(
       mapdata evaluate data/maps --connectivity 4 --json planners.json
       mapdata evaluate arena.map.scen --figure planners.png
       mapdata evaluate dungeon.npz --planner my_module:MyPlanner
+      mapdata evaluate data/site --split train --per-map 100 --radius 0.3
 
     Args:
         problems: a file that ProblemSet.save wrote, or problems of others as .scen, .npz or .npy;
-            or datasets, of whose test splits each map gives one problem; or a preset that 'mapdata
-            list' describes, of which new maps give one problem each
+            or datasets, of whose test splits each map gives a random problem; or a preset that
+            'mapdata list' describes, of which new maps give one each
         planner: MODULE:NAME of your own planner; the module may be a file in the working folder.
             NAME is a planner, or a class or function that takes a mapdata.Movement and returns one
         maps: number of maps (default: 600 of a preset, all of a dataset); for a .scen, the largest
             number of its problems
+        per_map: number of problems on each map of a dataset or preset
+        split: the split of a dataset (default: test)
+        radius: radius of the robot, in metres, on maps of a dataset or preset
         connectivity: 4-connected or 8-connected movement; a file has its own movement
         corner_cutting: allow diagonal moves beside occupied cells
         diagonal_cost: cost of a diagonal move: 1 or sqrt(2)
@@ -53,6 +60,7 @@ def evaluate_command(
     """
     from mapdata.evaluation import classical
     from mapdata.generators import PRESETS
+    from mapdata.problems import Random
 
     for file in (json, figure):
         if file is not None:
@@ -66,7 +74,16 @@ def evaluate_command(
             maps = 600 if maps is None else maps
         elif hint := did_you_mean(problems[0], PRESETS):
             raise ValueError(f"{problems[0]}: there is no such file, dataset or preset{hint}")
-    problem_set = load_problems(root, preset, None, maps, movement=movement)
+    if preset is not None and split is not None:
+        raise ValueError(f"--split: the maps of the preset {preset} are new, leave it out")
+    options: dict[str, Any] = {}
+    if per_map != 1:
+        options["problems"] = Random(distance=(10, None), per_map=per_map)
+    if split is not None:
+        options["split"] = split
+    if radius:
+        options["radius"] = radius
+    problem_set = load_problems(root, preset, None, maps, movement=movement, **options)
     rows = classical(problem_set.movement, terrain=problem_set.terrain is not None)
     if own is not None:
         rows.append(own(problem_set.movement))

@@ -51,6 +51,10 @@ def load_problems(
     if not is_file:
         return ProblemSet.read(root, maps, **sampling_options)
     # A file that does not know one of these options refuses it, so only those in use are passed.
+    for name in ("problems", "split", "radius"):
+        if name in sampling_options:
+            flag = "--per-map" if name == "problems" else f"--{name}"
+            raise ValueError(f"{flag}: does nothing for {root[0]}, a file with its own problems")
     file_options = {"count": maps, "seed": seed, "until_hard": sampling_options.get("until_hard")}
     options_in_use: dict[str, Any] = {
         name: option for name, option in file_options.items() if option is not None

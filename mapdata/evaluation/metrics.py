@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 import time
+import warnings
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -155,6 +156,10 @@ def evaluate(
             resample, a ``plan_batch`` with too few plans, or a planner whose attribute ``movement``
             is another `Movement` than that of the problems.
         Exception: whatever a planner raises.
+
+    Warns:
+        UserWarning: none of the paths of a planner solves its problem; the message says why the
+            first does not.
     """
     if not isinstance(problems, ProblemSet):
         raise TypeError(
@@ -247,7 +252,7 @@ def score_paths(
         paths = paths.paths()
     if len(paths) != len(problems):
         raise ValueError(f"paths: got {len(paths)}, expected one for each of {len(problems)}")
-    costs = np.array([_cost(path, problems, k) for k, path in enumerate(paths)])
+    costs = np.array([_cost(path, problems, k)[0] for k, path in enumerate(paths)])
     unknown = np.full(len(problems), np.nan)
     run = _Run(costs, expansions, unknown, unknown, unknown, np.empty(0))
     return _table([name], [run], problems, problems.optimal.iterations, bootstrap, seed)
@@ -274,11 +279,12 @@ def median_interval(values: Floats) -> Floats:
 def to_text(table: pd.DataFrame) -> str:
     """Return a table of `evaluate` as text: a block of all problems, and a block of the hard ones.
 
-    Each metric and time is followed by half the width of its interval. On terrain the second block
-    is left out if all problems are hard, because it would repeat the first one.
+    Each metric and time is followed by half the width of its interval. The second block is left out
+    if all problems are hard, because it would repeat the first one.
     """
     blocks = []
-    if "regret" in table and table["n"].nunique() == 1:
+    all_are_hard = table["subset"].nunique() == 2 and table["n"].nunique() == 1
+    if all_are_hard:
         table = table[table["subset"] == "all"]
     for subset, rows in table.groupby("subset", sort=False):
         text = pd.DataFrame({"planner": rows["planner"]})
@@ -291,7 +297,7 @@ def to_text(table: pd.DataFrame) -> str:
         for name in TIMES:
             text[name] = with_interval(rows, name)
         heading = f"{subset}: {rows['n'].iloc[0]} problems"
-        if subset == "hard":
+        if subset == "hard" or all_are_hard:
             heading += f", hardness at least {HARD}"
         blocks.append(f"{heading}\n{text.to_string(index=False)}")
     return "\n\n".join(blocks)
@@ -387,6 +393,7 @@ def _run(planner: Planner, problems: ProblemSet, advance: Advance) -> _Run:
     prepared = np.empty(len(problems))
     looks = np.empty(len(problems))
     ms = np.empty(len(problems))
+    first_fault = ""
     # The first problem is solved twice, and the second time counts: the first call may compile
     # kernels and fill caches.
     for repetition, k in enumerate((0, *range(len(problems)))):
@@ -398,12 +405,20 @@ def _run(planner: Planner, problems: ProblemSet, advance: Advance) -> _Run:
         plan = planner.plan(grid, start, goal, **arguments)
         ms[k] = 1000 * (time.process_time() - began)
         _check_plan(planner, plan)
-        costs[k] = _cost(plan.path, problems, k)
+        costs[k], fault = _cost(plan.path, problems, k)
+        if fault and np.size(plan.path) and not first_fault:
+            first_fault = f"that of problem {k}: {fault}"
         expansions[k] = plan.expansions
         prepared[k] = plan.prepared
         looks[k] = plan.expansions if plan.looks is None else plan.looks
         if repetition > 0:
             advance(1)
+    if first_fault and np.isnan(costs).all():
+        warnings.warn(
+            f"{planner.name}: none of its paths solves its problem; the first is {first_fault}. A "
+            "path is cells (row, col) from start to goal",
+            stacklevel=3,
+        )
     ms_batched = np.empty(0)
     if isinstance(planner, BatchPlanner):
         ms_batched = _batched_ms(planner, problems, advance)
@@ -470,18 +485,24 @@ def _map_of(problems: ProblemSet, k: int) -> tuple[Bytes, Bytes | None]:
     return grids[0], None if terrains is None else terrains[0]
 
 
-def _cost(path: npt.ArrayLike, problems: ProblemSet, k: int) -> float:
-    """Return the cost of ``path``, NaN if it does not solve problem ``k``."""
+def _cost(path: npt.ArrayLike, problems: ProblemSet, k: int) -> tuple[float, str]:
+    """Return the cost of ``path`` and an empty text.
+
+    If it does not solve problem ``k``, return NaN and the reason.
+    """
     grid, terrain = _map_of(problems, k)
     try:
         cells = np.asarray(path)
         cost = check_path(grid, cells, problems.movement, terrain=terrain)
-    except ValueError:
-        return np.nan
-    joins_start_and_goal = np.array_equal(cells[0], problems.starts[k]) and np.array_equal(
-        cells[-1], problems.goals[k]
+    except ValueError as error:
+        return np.nan, str(error)
+    start, goal = problems.starts[k], problems.goals[k]
+    if np.array_equal(cells[0], start) and np.array_equal(cells[-1], goal):
+        return cost, ""
+    first, last = tuple(cells[0].tolist()), tuple(cells[-1].tolist())
+    return np.nan, (
+        f"from {first} to {last}, expected from {tuple(start.tolist())} to {tuple(goal.tolist())}"
     )
-    return cost if joins_start_and_goal else np.nan
 
 
 def _metrics(means: Floats) -> Floats:

@@ -9,7 +9,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from mapdata.datasets.fields import FIELDS
 from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.problem_set_dataset import ProblemSetDataset
 from mapdata.datasets.problem_statistics import map_digests, measure
+from mapdata.describe.dataset_card import counted
 from mapdata.describe.problem_statistics import ProblemStatistics
 from mapdata.describe.statistics import count_repeats, hash_grids
 from mapdata.export.about import CARD, write_about
@@ -143,6 +144,7 @@ def export_problems(
     Raises:
         DatasetNotFoundError: there is no dataset under ``source``.
         ShardError: it is damaged.
+        TypeError: ``source`` is a dataset object, such as a `MapDataset`.
         ValueError: arguments that do not fit, or that would do nothing; a target that exists.
         OSError: the disk is full or may not be written to.
     """
@@ -151,6 +153,12 @@ def export_problems(
     _check_format_options(file_format, fields, licence, max_length, search)
     check_flag("augment", augment)
     check_flag("distinct", distinct)
+    if isinstance(source, ProblemDataset):
+        raise TypeError(
+            f"source: got an object of type {type(source).__name__}, expected what it is made of: "
+            "the folder of a dataset, a preset or recipe, or a ProblemSet; the other arguments of "
+            "the dataset are also arguments here"
+        )
     problem_set = _problem_set(source)
     given = {"problems": problems, "seed": seed, "radius": radius or None}
     if movement is None:
@@ -196,9 +204,7 @@ def export_problems(
         )
         writer = file_format.new_writer(target_of_writer)
         try:
-            map_hashes, map_indices = _write(
-                parts, writer, options.fields, file_format.max_batch, progress
-            )
+            written = _write(parts, writer, options.fields, file_format.max_batch, progress)
             statistics = {part.split: measure(part.dataset, numbers=part.numbers) for part in parts}
             files = writer.finish(counts, dataset.map_size)
         except BaseException:
@@ -210,7 +216,7 @@ def export_problems(
             "origin": origin,
             "options": options.plain(dataset) | {"distinct": distinct},
             "problems": counts,
-            "maps": {split: len(np.unique(map_indices[split])) for split in map_indices},
+            "maps": {split: len(np.unique(maps)) for split, maps in written.map_indices.items()},
             "problem_statistics": {split: statistics[split].to_dict() for split in statistics},
             "files": files,
             "content_hash": json_hash(files),
@@ -227,9 +233,10 @@ def export_problems(
         f"problems: {which}",
         *_source_notes(source),
         *_count_notes(parts),
-        *_map_notes(parts, map_indices),
+        *_map_notes(parts, written.map_indices),
         *_target_notes(options.fields, statistics),
-        *_copy_notes(map_hashes, map_indices),
+        *(_neighbour_notes(parts, written.neighbours) if file_format.has_maze_labels else ()),
+        *_copy_notes(written.map_hashes, written.map_indices),
     ]
 
 
@@ -712,23 +719,35 @@ def _check_all_splits(file_format: ProblemFormat, parts: Sequence[_Part]) -> Non
         raise ValueError(f"{file_format.name}: the source has no problems in {', '.join(missing)}")
 
 
+class _Written(NamedTuple):
+    """What is noted of the problems while they are written.
+
+    Attributes:
+        map_hashes: by split, the hashes of the maps, one for each problem. Empty if the files have
+            no maps, or no costs of maps with terrain.
+        map_indices: by split, the numbers of the maps, one for each problem.
+        neighbours: by split, the number of problems from a cell to one beside, above or below it.
+            Empty if the files have no starts or goals.
+    """
+
+    map_hashes: dict[str, Array]
+    map_indices: dict[str, Ints]
+    neighbours: dict[str, int]
+
+
 def _write(
     parts: Sequence[_Part],
     writer: Writer,
     fields: tuple[str, ...],
     max_batch: int,
     progress: bool,
-) -> tuple[dict[str, Array], dict[str, Ints]]:
-    """Write the fields of all problems of all splits, at most ``max_batch`` at a time.
-
-    Returns:
-        The hashes of the maps, one for each problem, by split; empty if the files have no maps, or
-        no costs of maps with terrain. Then the numbers of the maps, one for each problem, by split.
-    """
+) -> _Written:
+    """Write the fields of all problems of all splits, at most ``max_batch`` at a time."""
     map_field = "terrain" if parts[0].dataset.has_terrain else "map"
     has_maps = map_field in parts[0].dataset.serving.fields
     hashes_of_batches: dict[str, list[Array]] = defaultdict(list)
     indices_of_batches: dict[str, list[Ints]] = defaultdict(list)
+    neighbours: dict[str, int] = defaultdict(int)
     total = sum(part.count for part in parts)
     with bar(progress, total, unit=" problems") as advance:
         tried = 0
@@ -748,10 +767,13 @@ def _write(
                 if has_maps:
                     hashes = hash_grids(columns[map_field][:, 0], is_terrain=map_field == "terrain")
                     hashes_of_batches[part.split].append(np.array(hashes))
+                if "start" in columns and "goal" in columns:
+                    moves = np.abs(columns["start"] - columns["goal"]).sum(axis=1)
+                    neighbours[part.split] += int((moves == 1).sum())
                 advance(len(next(iter(columns.values()))))
     map_hashes = {split: np.concatenate(hashes) for split, hashes in hashes_of_batches.items()}
     map_indices = {split: np.concatenate(numbers) for split, numbers in indices_of_batches.items()}
-    return map_hashes, map_indices
+    return _Written(map_hashes, map_indices, neighbours)
 
 
 def _source_notes(source: Any) -> list[str]:
@@ -773,7 +795,7 @@ def _count_notes(parts: Sequence[_Part]) -> list[str]:
         if part.count > len(part.dataset):
             notes.append(
                 f"{part.split}: maps are used again, with other starts and goals, since an epoch "
-                f"has {len(part.dataset):,} problems"
+                f"has {counted(len(part.dataset), 'problem')}"
             )
     return notes
 
@@ -814,6 +836,21 @@ def _target_notes(
     if has_path and first.single_path.value < _FEW_SINGLE_PATHS:
         return [f"{split}: {first.target_text()}"]
     return []
+
+
+def _neighbour_notes(parts: Sequence[_Part], neighbours: Mapping[str, int]) -> list[str]:
+    """Return notes on mazes whose solution equals the question: no cell is between S and G.
+
+    Args:
+        parts: the splits.
+        neighbours: number of such problems, by split.
+    """
+    return [
+        f"{part.split}: in {neighbours[part.split]:,} of {part.count:,} problems S and G are "
+        "neighbours, so the solved maze equals the question; --length 3: leaves them out"
+        for part in parts
+        if neighbours[part.split]
+    ]
 
 
 def _copy_notes(map_hashes: Mapping[str, Array], map_indices: Mapping[str, Ints]) -> list[str]:

@@ -228,7 +228,10 @@ def parse_question(question: object) -> Question:
         )
     question = question.replace("\r\n", "\n").strip("\n")
     if not _QUESTION.fullmatch(question.replace("\n", "")):
-        raise FormatError("question: expected cells '#' and ' ', one S and one G")
+        raise FormatError(
+            "question: expected the maze alone, without instructions around it: cells '#' and ' ', "
+            "one S and one G"
+        )
     cells = _grid_of_cells(question)
     ((start_row, start_column),) = np.argwhere(cells == _START).tolist()
     ((goal_row, goal_column),) = np.argwhere(cells == _GOAL).tolist()

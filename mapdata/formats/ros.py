@@ -220,6 +220,8 @@ def read_map(path: StrPath, limits: Limits = LIMITS) -> RosMap:
         FormatError: fields missing or out of range, a picture that is missing, damaged or outside
             the yaml's folder.
     """
+    if Path(path).suffix.lower() in PICTURES:
+        raise FormatError(f"{path}: is the picture of a map, expected the .yaml file that names it")
     ros_map, _ = _read_map(Path(path), limits)
     return ros_map
 

@@ -168,6 +168,11 @@ def _looks_like_a_path(text: str) -> bool:
 
 def _from_file(path: str | Path) -> Recipe:
     """Return the recipe of a JSON file, which is not read if it is too large."""
+    if Path(path).suffix.lower() not in ("", ".json"):
+        raise ValueError(
+            f"recipe: {path}: expected a recipe as .json. 'mapdata import {path} ROOT' makes a "
+            "dataset of a map or picture; then ROOT is given here"
+        )
     byte_count = os.path.getsize(path)
     if byte_count > MAX_RECIPE_BYTES:
         raise ValueError(

@@ -513,7 +513,8 @@ def distance_field(
     if not is_valid:
         raise ValueError(values_complaint(array))
     if array[row, column]:
-        raise ValueError(f"goal: {row, column} is on an occupied cell")
+        hint = _nearest_free_cell(array, (row, column))
+        raise ValueError(f"goal: {row, column} is on an occupied cell{hint}")
     if high_cost:
         raise ValueError(high_cost_complaint(high_cost))
     return field
@@ -852,10 +853,21 @@ def _problem_complaint(grid: Bytes, start: Cell, goal: Cell) -> str:
     """Return why a problem is refused: for the grid, for the start, or else for the goal."""
     if np.any(grid > 1):
         return values_complaint(grid)
-    reason = why_not_free(grid, start)
-    if reason:
-        return f"start: {reason}"
-    return f"goal: {why_not_free(grid, goal)}"
+    name, cell = ("start", start) if why_not_free(grid, start) else ("goal", goal)
+    return f"{name}: {why_not_free(grid, cell)}{_nearest_free_cell(grid, cell)}"
+
+
+def _nearest_free_cell(grid: Bytes, cell: Cell) -> str:
+    """Return the end of an error message: which free cell is nearest to an occupied one.
+
+    The user of a map that `inflate` has changed cannot see which cells it has occupied.
+    """
+    free_cells = np.argwhere(grid == 0)
+    if not len(free_cells):
+        return "; the map has no free cell"
+    squared_distances = ((free_cells - cell) ** 2).sum(axis=1)
+    row, column = free_cells[squared_distances.argmin()].tolist()
+    return f"; the nearest free cell is ({row}, {column})"
 
 
 def why_not_free(grid: Bytes, cell: Cell) -> str:

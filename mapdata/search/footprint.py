@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -54,6 +55,10 @@ def inflate(grid: ArrayLike, radius_cells: float) -> Bytes:
     Raises:
         ValueError: a grid that `clearance` refuses, or a radius that is not from 0 to 1,000,000.
 
+    Warns:
+        UserWarning: a radius between 0 and half a cell, which occupies no further cell: it may be
+            in metres.
+
     Source: Lozano-Pérez, "Spatial planning: a configuration space approach", 1983,
     https://doi.org/10.1109/TC.1983.1676196.
 
@@ -62,6 +67,18 @@ def inflate(grid: ArrayLike, radius_cells: float) -> Bytes:
            [1, 0, 0, 1],
            [1, 1, 1, 1]], dtype=uint8)
     """
+    inflated = without_clearance(grid, radius_cells)
+    if 0 < radius_cells < 0.5:
+        warnings.warn(
+            f"radius_cells: a robot with a radius of {radius_cells:g} cells is within one cell, so "
+            "the map does not change; a radius in metres is to be divided by the resolution",
+            stacklevel=2,
+        )
+    return inflated
+
+
+def without_clearance(grid: ArrayLike, radius_cells: float) -> Bytes:
+    """Return what `inflate` returns, without a warning."""
     inflated = _binary_grid(grid).copy()
     inflate_all(inflated[None], min_squared_clearance(radius_cells, name="radius_cells"))
     return inflated

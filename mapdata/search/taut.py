@@ -33,7 +33,7 @@ from mapdata.checks import check_count, check_number
 from mapdata.jit import Int, inlined, kernel
 from mapdata.movement import Movement
 from mapdata.search.api import as_grid, check_path, values_complaint
-from mapdata.search.footprint import inflate
+from mapdata.search.footprint import without_clearance
 
 CELL = 256
 """The side of a cell."""
@@ -172,7 +172,7 @@ def pull_taut(grid: ArrayLike, path: ArrayLike, radius_cells: float = 0) -> Floa
     cells = as_grid(grid, 2)
     _check_size(cells)
     robot = robot_of(radius_cells)
-    free_for_robot = inflate(cells, radius_cells) if radius_cells else cells
+    free_for_robot = without_clearance(cells, radius_cells) if radius_cells else cells
     check_path(free_for_robot, path, Movement(8, corner_cutting=not radius_cells))
     own_path = np.array(np.asarray(path), np.int64)  # contiguous and writable, for the kernel
     line, is_free = _taut_line(cells, own_path, robot)

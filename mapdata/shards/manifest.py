@@ -234,8 +234,14 @@ def read_manifest(root: Path, follow_links: bool = False) -> Manifest:
     except (FileNotFoundError, NotADirectoryError):
         if root.is_file():
             is_in_dataset = (root.parent / MANIFEST).is_file()
-            folder = f"its folder: {root.parent}" if is_in_dataset else "the folder of a dataset"
-            raise DatasetNotFoundError(root, "it is a file", f"Give {folder}") from None
+            if is_in_dataset:
+                hint = f"Give its folder: {root.parent}"
+            else:
+                hint = (
+                    "Give the folder of a dataset; 'mapdata import FILE ROOT' makes one of a map, "
+                    "a picture or a folder of them"
+                )
+            raise DatasetNotFoundError(root, "it is a file", hint) from None
         if (root / "export.json").is_file():
             why = "export.json there says that it is an export of training problems"
             hint = (

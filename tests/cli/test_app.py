@@ -1011,7 +1011,7 @@ def test_a_file_of_a_dataset_is_refused_as_a_root(verb: str, run: Command, datas
     for name in (MANIFEST, shard_name(0, 4)):
         message = f"no dataset at {dataset / name}: it is a file. Give its folder: {dataset}$"
         run.refused(2, message, verb, dataset / name)
-    message = "it is a file. Give the folder of a dataset$"
+    message = "it is a file. Give the folder of a dataset; 'mapdata import FILE ROOT' makes one of"
     run.refused(2, message, verb, __file__)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from mapdata import MapSpec, Movement, ProblemSet, build, evaluate
+from mapdata import MapSpec, Movement, ProblemSet, Random, build, evaluate
 from mapdata.cli import main
 from mapdata.evaluation import TIMES, classical
 
@@ -120,6 +120,36 @@ def test_a_file_a_dataset_and_a_preset(tmp_path: Path, capsys: pytest.CaptureFix
         assert problems.content_hash[:12] in capsys.readouterr().out
 
 
+def test_many_problems_on_one_map_for_a_robot(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As an imported map of a robot needs them: it is in the split train, and is one."""
+    build(tmp_path / "site", DUNGEON, maps=1, seed=9, workers=1)
+    sampled = ProblemSet.read(
+        tmp_path / "site",
+        movement=Movement(8),
+        split="train",
+        problems=Random(distance=(10, None), per_map=7),
+        radius=0.15,
+    )
+    options = ["--split", "train", "--per-map", "7", "--radius", "0.15"]
+    main(["evaluate", str(tmp_path / "site"), *options, "--json", str(tmp_path / "out.json")])
+    assert rows_of(tmp_path / "out.json")[0]["n"] == 7
+    assert sampled.content_hash[:12] in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("option", ["--per-map 2", "--split val", "--radius 0.1"])
+def test_a_file_has_its_own_problems(
+    tmp_path: Path, option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What would choose others is refused."""
+    ProblemSet.sample("dungeon", 77, 3).save(tmp_path / "set.npz")
+    with pytest.raises(SystemExit):
+        main(["evaluate", str(tmp_path / "set.npz"), *option.split()])
+    flag = option.split(maxsplit=1)[0]
+    assert f"{flag}: does nothing for {tmp_path / 'set.npz'}, a file" in capsys.readouterr().err
+
+
 def test_terrain_has_its_own_planners(tmp_path: Path) -> None:
     """Those that take costs, and A* on mean cost."""
     file = tmp_path / "out.json"
@@ -141,6 +171,8 @@ def test_the_figure_is_written(tmp_path: Path) -> None:
         (["no/such/dataset"], "no dataset at no/such/dataset"),
         (["no/such.npz"], "no/such.npz"),
         (["dungeon", "--maps", "0"], "maps: got 0"),
+        (["dungeon", "--per-map", "0"], "per_map: got 0"),
+        (["dungeon", "--split", "val"], "--split: the maps of the preset dungeon are new"),
         (["dungeon", "--json", "no/out.json"], "no/out.json: cannot be written"),
         (["dungeon", "--figure", "no/out.png"], "no/out.png: cannot be written"),
         (["dungeon", "--planner", "own_planners"], "got 'own_planners', expected MODULE:NAME"),

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import runpy
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import chain, combinations
@@ -63,6 +64,7 @@ class Functional:
 
 GOALS = [(0, 2), (0, 3), (3, 0)]
 DETOUR = [(0, 0), (1, 0), (2, 0), (2, 1), (2, 2), (1, 2), (0, 2)]
+DOWN = [(0, 0), (1, 0), (2, 0), (3, 0)]
 
 
 def three(movement: Movement = Movement()) -> ProblemSet:
@@ -163,9 +165,9 @@ CHEATS: dict[str, list[tuple[float, float]]] = {
     "through a wall": [(0, 0), (0, 1), (0, 2)],
     "a jump": [(0, 0), (0, 2)],
     "a cut corner": [(0, 0), (1, 1), (0, 2)],
-    "ends elsewhere": [(0, 0), (1, 0), (1, 1), (1, 2)],
-    "starts elsewhere": [(1, 0), (1, 1), (1, 2), (0, 2)],
-    "backwards": [(0, 2), (1, 2), (1, 1), (1, 0), (0, 0)],
+    "from (0, 0) to (1, 2), expected from (0, 0) to (0, 2)": [(0, 0), (1, 0), (1, 1), (1, 2)],
+    "from (1, 0) to (0, 2), expected": [(1, 0), (1, 1), (1, 2), (0, 2)],
+    "from (0, 2) to (0, 0), expected": [(0, 2), (1, 2), (1, 1), (1, 0), (0, 0)],
     "leaves the map": [(0, 0), (-1, 0), (-1, 1), (-1, 2), (0, 2)],
     "between cells": [(0, 0), (1, 0), (1, 0.5), (1, 1), (1, 2), (0, 2)],
     "stands still": [(0, 0), (0, 0), (1, 0), (1, 1), (1, 2), (0, 2)],
@@ -173,17 +175,25 @@ CHEATS: dict[str, list[tuple[float, float]]] = {
 }
 
 
-@pytest.mark.parametrize("path", CHEATS.values(), ids=CHEATS)
+@pytest.mark.parametrize("cheat", CHEATS)
 @pytest.mark.parametrize("movement", [Movement(), Movement(8)], ids=["4", "8"])
-def test_invalid_paths_count_as_failures(
-    path: list[tuple[float, float]], movement: Movement
-) -> None:
-    """They have success 0, are not optimal and have no cost, but their expansions count."""
+def test_invalid_paths_count_as_failures(cheat: str, movement: Movement) -> None:
+    """They have success 0, are not optimal and have no cost, but their expansions count.
+
+    A warning has the first path's fault.
+    """
+    path = CHEATS[cheat]
     problems = three(movement)
     one_problem = ProblemSet(problems.grids[:1], problems.starts[:1], problems.goals[:1], movement)
-    row_of_planner = row(
-        evaluate([Scripted([(path, 1)])], one_problem, bootstrap=5), "scripted", "all"
-    )
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        table = evaluate([Scripted([(path, 1)])], one_problem, bootstrap=5)
+    row_of_planner = row(table, "scripted", "all")
+    (said,) = [str(warning.message) for warning in caught] if path else [""]
+    start = "scripted: none of its paths solves its problem; the first is that of problem 0: "
+    assert said.startswith(start if path else "")
+    if cheat.startswith("from"):
+        assert cheat in said
     assert (
         row_of_planner["success"],
         row_of_planner["opt"],
@@ -196,6 +206,7 @@ def test_invalid_paths_count_as_failures(
     assert np.isnan(row_of_planner["cost_ratio"])
 
 
+@pytest.mark.filterwarnings("ignore:.*none of its paths solves its problem")
 def test_a_path_of_another_rank_fails() -> None:
     """An array that is no list of cells is no path."""
     problems = three()
@@ -246,6 +257,20 @@ def test_the_table_has_two_rows_for_each_planner() -> None:
     assert "all: 3 problems" in text
     assert "hard: 1 problems, hardness at least 1.05" in text
     assert max(map(len, text.splitlines())) < 170
+
+
+def test_only_planners_without_any_path_are_warned_of(recwarn: pytest.WarningsRecorder) -> None:
+    """Some failures are what a table is for."""
+    evaluate([Scripted([([(0, 0), (0, 2)], 1), ([], 1), (DOWN, 1)])], three(), bootstrap=5)
+    assert not recwarn.list
+
+
+def test_a_table_of_hard_problems_alone_is_printed_once() -> None:
+    """The second block would repeat the first one."""
+    problems = three()
+    text = to_text(evaluate(classical(Movement()), problems[problems.hard], bootstrap=5))
+    assert text.startswith("all: 1 problems, hardness at least 1.05\n")
+    assert "hard: " not in text
 
 
 @dataclass
@@ -370,6 +395,7 @@ def test_the_interval_of_a_share_is_close_to_the_normal_interval() -> None:
     )
 
 
+@pytest.mark.filterwarnings("ignore:.*none of its paths solves its problem")
 def test_planners_get_their_own_copy_of_a_grid() -> None:
     """A planner that writes to its grid does not affect others, and an error of a planner is
     raised.

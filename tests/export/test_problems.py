@@ -142,6 +142,29 @@ def test_a_file_that_is_missing_is_no_recipe(tmp_path: Path) -> None:
         export_problems("problems.npz", tmp_path / "out")
 
 
+def test_a_dataset_that_is_open_is_no_source(tmp_path: Path) -> None:
+    """The export opens one of its own, with the fields of the format."""
+    dataset = OnlineMapDataset("maze15", length=5, split="train")
+    with pytest.raises(TypeError, match="source: got an object of type OnlineMapDataset, expected"):
+        export_problems(dataset, tmp_path / "out")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["hrm", "maze-hard"])
+def test_notes_count_the_mazes_that_are_their_own_solution(name: str, tmp_path: Path) -> None:
+    """Start and goal are neighbours; a band of lengths leaves these problems out."""
+    notes = export_problems("maze15", tmp_path / "all", format=name, count=200)
+    found = [note for note in notes if "the solved maze equals the question" in note]
+    ends = ("start", "goal")
+    dataset = OnlineMapDataset("maze15", length=200, split="train", fields=ends, problems="random")
+    start, goal = dataset[:]
+    neighbours = int(((start - goal).abs().sum(dim=1) == 1).sum())
+    assert neighbours > 0
+    assert found[0].startswith(f"train: in {neighbours} of 200 problems S and G are neighbours")
+    longer = {"random": {"length": [3, None]}}
+    notes = export_problems("maze15", tmp_path / "long", format=name, count=200, problems=longer)
+    assert not [note for note in notes if "neighbours" in note]
+
+
 def test_a_note_names_a_folder_that_a_preset_hides(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

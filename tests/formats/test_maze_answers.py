@@ -253,10 +253,10 @@ def test_line_ends_around_an_answer_are_ignored() -> None:
 @pytest.mark.parametrize(
     ("question", "answer", "message"),
     [
-        ("#########", "#########", "question: expected cells '#' and ' ', one S and one G"),
+        ("#########", "#########", "question: expected the maze alone, without instructions"),
         ("", "", "one S and one G"),
         ("S  SG    ", "S  SG    ", "one S and one G"),
-        ("SéG ", "SéG ", "expected cells '#' and ' '"),
+        ("SéG ", "SéG ", "cells '#' and ' ', one S and one G"),
         ("S G", "SoG", "question: got 3 cells in one line, expected a square map"),
         ("S G", "S G ", "question: got 3 cells in one line, expected a square map"),
         ("S \n G ", "S \n G ", "got lines of several lengths"),

@@ -102,7 +102,7 @@ def test_wrong_answers_are_counted(root: Path, tmp_path: Path) -> None:
     [
         ("x,S G,S G,2", "question: got 3 cells in one line, expected a square map"),
         ("x,S  S,S  S,2", "one S and one G"),
-        ("x,S  X,S  X,2", "expected cells"),
+        ("x,S  X,S  X,2", "expected the maze alone"),
         ("x,,,", "one S and one G"),
         ("x,SG", "expected source,question"),
     ],

@@ -510,6 +510,15 @@ def test_a_missing_field_is_named(missing: str, tmp_path: Path) -> None:
         read_map(path)
 
 
+def test_the_picture_of_a_map_is_no_map(tmp_path: Path) -> None:
+    """Its .yaml file has the resolution and the origin."""
+    write(tmp_path)
+    with pytest.raises(
+        FormatError, match=r"map\.pgm: is the picture of a map, expected the \.yaml"
+    ):
+        read_map(tmp_path / "map.pgm")
+
+
 def test_other_yaml_beside_a_map_is_no_matter(tmp_path: Path) -> None:
     """Parameters of nodes are skipped; a file with a part of what a map needs is left out."""
     write(tmp_path)

@@ -184,6 +184,15 @@ def test_a_recipe_file_is_a_json_object_of_limited_size(tmp_path: Path) -> None:
         as_recipe(path)
 
 
+@pytest.mark.parametrize("name", ["map.yaml", "arena.map", "hall.PNG"])
+def test_a_file_of_a_map_is_no_recipe(name: str, tmp_path: Path) -> None:
+    """The message says how a map becomes a dataset."""
+    path = tmp_path / name
+    path.write_text("image: map.pgm\n", encoding="utf-8")
+    with pytest.raises(ValueError, match=f"expected a recipe as .json. 'mapdata import .*{name}"):
+        as_recipe(path)
+
+
 def test_presets_are_public_and_read_only() -> None:
     """`mapdata.PRESETS` maps each name to its generator."""
     assert mapdata.PRESETS["dungeon"] == MapSpec.preset("dungeon")

@@ -872,3 +872,21 @@ def test_a_bad_goal_of_a_field_is_named(cell: tuple[Any, ...]) -> None:
     with pytest.raises(ValueError, match="goal") as error:
         distance_field(WALLED, cell)
     assert re.search(named(cell) if cell else r"\(\)|\[\]", str(error.value))
+
+
+def test_an_occupied_end_names_the_nearest_free_cell() -> None:
+    """Which cells `inflate` has occupied cannot be seen in the map of the user."""
+    grid = np.ones((9, 9), np.uint8)
+    with pytest.raises(ValueError, match=r"start: \(4, 4\) is on an occ.* map has no free cell$"):
+        astar(grid, (4, 4), (0, 0))
+    grid[1, 1] = grid[4, 7] = 0
+    for cell, nearest in (((4, 4), (4, 7)), ((0, 0), (1, 1)), ((2, 3), (1, 1))):
+        message = (
+            rf"is on an occupied cell; the nearest free cell is \({nearest[0]}, {nearest[1]}\)"
+        )
+        with pytest.raises(ValueError, match=f"^goal: .*{message}$"):
+            bfs(grid, (1, 1), cell)
+        with pytest.raises(ValueError, match=f"^goal: .*{message}$"):
+            distance_field(grid, cell)
+        with pytest.raises(ValueError, match=f"^problem 0: start: .*{message}$"):
+            search_batch("astar", grid[None], [cell], [(1, 1)])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from fractions import Fraction
 from typing import Any
 
@@ -17,7 +18,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy import ndimage
 
-from mapdata import MapGenerator, clearance, generate, inflate
+from mapdata import MapGenerator, clearance, generate, inflate, inflate_terrain, pull_taut
 from mapdata.search.footprint import min_squared_clearance
 
 Grid = npt.NDArray[np.uint8]
@@ -51,6 +52,7 @@ def test_clearance_agrees_with_scipy(name: str) -> None:
         assert (clearance(grid)[grid == 1] == 0).all()
 
 
+@pytest.mark.filterwarnings("ignore:radius_cells. a robot .* is within one cell")
 @examples(200)
 @given(GRIDS, st.fractions(0, 6, max_denominator=20))
 def test_a_disc_may_touch_and_not_overlap(grid: Grid, radius: Fraction) -> None:
@@ -96,6 +98,22 @@ def test_inflating_leaves_the_grid_alone() -> None:
     assert inflate([[False, True]], 0.5).tolist() == [[0, 1]]
     assert clearance(np.zeros((1, 1), np.float32)).tolist() == [[0.5]]
     assert inflate(np.zeros((1, 1)), 0.51).tolist() == [[1]]
+
+
+@pytest.mark.parametrize("radius", [0.3, 0.499, np.float32(1e-9)])
+def test_a_radius_in_metres_is_warned_of(radius: float) -> None:
+    """It occupies no cell; a robot that just fits into a cell is meant so, and so is none."""
+    grid = np.eye(5, dtype=np.uint8)
+    with pytest.warns(UserWarning, match="is within one cell, so the map does not change") as said:
+        assert np.array_equal(inflate(grid, radius), grid)
+    assert said[0].filename == __file__
+    with pytest.warns(UserWarning, match="is within one cell"):
+        inflate_terrain(1 - grid, radius)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for fitting in (0, 0.5, 0.6):
+            inflate(grid, fitting)
+        pull_taut(np.zeros((5, 5), np.uint8), [(1, 1), (2, 1), (2, 2)], radius)  # keeps a distance
 
 
 def test_long_grids_are_exact() -> None:

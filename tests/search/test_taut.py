@@ -257,6 +257,7 @@ def test_taut_lines_are_nearly_as_short_as_a_visibility_graph() -> None:
     assert np.mean(np.array(ratios) < 1 + 1e-12) > 0.6
 
 
+@pytest.mark.filterwarnings("ignore:radius_cells. a robot .* is within one cell")
 @pytest.mark.parametrize("radius", [0.3, 0.5, 0.7071, 1.2, 1.5])
 def test_lines_for_a_robot_keep_its_distance(radius: float) -> None:
     """By the exact oracle; they are not longer than the path, and mostly shorter."""
@@ -378,6 +379,7 @@ def test_lines_for_a_robot_are_nearly_as_short_as_a_visibility_graph(radius: flo
     assert np.mean(ratios) < 1.01
 
 
+@pytest.mark.filterwarnings("ignore:radius_cells. a robot .* is within one cell")
 @pytest.mark.parametrize("radius", [0.3, 0.5, 1.5, 2.5])
 def test_a_line_for_a_robot_is_never_longer_than_a_free_straight_line(radius: float) -> None:
     """Of the same homotopy class; and no bend can be left out."""
@@ -508,6 +510,7 @@ def test_waypoints_divide_the_line_evenly(problems: list[Problem]) -> None:
     assert np.mean(np.array(differences) <= 2 * math.sqrt(2) / CELL) > 0.8
 
 
+@pytest.mark.filterwarnings("ignore:radius_cells. a robot .* is within one cell")
 def test_waypoints_for_a_robot_keep_its_distance() -> None:
     """By the exact oracle, although points between the bends are rounded."""
     source = np.random.default_rng(2)
