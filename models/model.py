@@ -226,26 +226,6 @@ class Model(pl.LightningModule, ABC):
         """Return the model of this class that `save` wrote; errors are those of `load_model`."""
         return load_model(file, cls)
 
-    @classmethod
-    def load_from_checkpoint(cls: type[P], *args: Any, **options: Any) -> P:
-        """Return the model of a checkpoint that a `lightning.Trainer` wrote.
-
-        The arguments are those of `lightning.LightningModule.load_from_checkpoint`.
-
-        Raises:
-            ValueError: the file is none of a Trainer. Files of `save` are read by `load`.
-        """
-        try:
-            model: P = super().load_from_checkpoint(*args, **options)
-        except KeyError as error:
-            if error.args != ("pytorch-lightning_version",):
-                raise
-            raise ValueError(
-                f"{args[0] if args else options.get('checkpoint_path')}: no checkpoint of a "
-                f"Trainer; {cls.__name__}.load reads a file that save wrote"
-            ) from None
-        return model
-
 
 def load_model(file: str | PathLike[str], *classes: type[M]) -> M:
     """Return the model of one of ``classes`` that `Model.save` wrote, in evaluation mode.

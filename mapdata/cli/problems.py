@@ -52,7 +52,7 @@ def load_problems(
         return ProblemSet.read(root, maps, **sampling_options)
     # A file that does not know one of these options refuses it, so only those in use are passed.
     for name in ("problems", "split", "radius"):
-        if name in sampling_options:
+        if name in sampling_options and Path(root[0]).exists():
             flag = "--per-map" if name == "problems" else f"--{name}"
             raise ValueError(f"{flag}: does nothing for {root[0]}, a file with its own problems")
     file_options = {"count": maps, "seed": seed, "until_hard": sampling_options.get("until_hard")}

@@ -270,7 +270,9 @@ class ProblemDataset(Dataset[Sample], ABC):
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the attributes that are pickled: all but those that `_open` sets."""
-        return {name: v for name, v in vars(self).items() if name not in self._opened}
+        state = {name: v for name, v in vars(self).items() if name not in self._opened}
+        # A process that gets the dataset pickled, such as a loader worker, reads a part of a pass.
+        return {**state, "_watch": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over the pickled attributes, and open the dataset again."""

@@ -180,7 +180,16 @@ def evaluate(
     batch_planner_count = sum(isinstance(planner, BatchPlanner) for planner in planners)
     total = (len(planners) + batch_planner_count) * len(problems)
     with bar(progress, total, unit=" problems") as advance:
-        runs = [_run(planner, problems, advance) for planner in planners]
+        runs = []
+        for planner in planners:
+            run, fault = _run(planner, problems, advance)
+            runs.append(run)
+            if fault and np.isnan(run.costs).all():
+                warnings.warn(
+                    f"{planner.name}: none of its paths solves its problem; the first is {fault}. "
+                    "A path is cells (row, col) from start to goal",
+                    stacklevel=2,
+                )
     reference_expansions: Floats | Ints = problems.optimal.iterations
     if baseline is not None:
         reference_expansions = runs[names.index(baseline)].expansions
@@ -383,10 +392,14 @@ def _terrain_argument(planner: Planner, terrain: Bytes | None) -> dict[str, Any]
     return {"terrain": terrain}
 
 
-def _run(planner: Planner, problems: ProblemSet, advance: Advance) -> _Run:
+def _run(planner: Planner, problems: ProblemSet, advance: Advance) -> tuple[_Run, str]:
     """Solve all problems with a planner, check its paths and measure its times.
 
     ``advance`` is called with numbers of solved problems.
+
+    Returns:
+        The measurements, and why the first path that solves no problem does not; an empty text if
+        there is none.
     """
     costs = np.empty(len(problems))
     expansions = np.empty(len(problems))
@@ -406,23 +419,17 @@ def _run(planner: Planner, problems: ProblemSet, advance: Advance) -> _Run:
         ms[k] = 1000 * (time.process_time() - began)
         _check_plan(planner, plan)
         costs[k], fault = _cost(plan.path, problems, k)
-        if fault and np.size(plan.path) and not first_fault:
+        if fault and not first_fault:
             first_fault = f"that of problem {k}: {fault}"
         expansions[k] = plan.expansions
         prepared[k] = plan.prepared
         looks[k] = plan.expansions if plan.looks is None else plan.looks
         if repetition > 0:
             advance(1)
-    if first_fault and np.isnan(costs).all():
-        warnings.warn(
-            f"{planner.name}: none of its paths solves its problem; the first is {first_fault}. A "
-            "path is cells (row, col) from start to goal",
-            stacklevel=3,
-        )
     ms_batched = np.empty(0)
     if isinstance(planner, BatchPlanner):
         ms_batched = _batched_ms(planner, problems, advance)
-    return _Run(costs, expansions, prepared, looks, ms, ms_batched)
+    return _Run(costs, expansions, prepared, looks, ms, ms_batched), first_fault
 
 
 def _check_plan(planner: Planner, plan: object) -> None:
@@ -488,11 +495,13 @@ def _map_of(problems: ProblemSet, k: int) -> tuple[Bytes, Bytes | None]:
 def _cost(path: npt.ArrayLike, problems: ProblemSet, k: int) -> tuple[float, str]:
     """Return the cost of ``path`` and an empty text.
 
-    If it does not solve problem ``k``, return NaN and the reason.
+    If it does not solve problem ``k``, return NaN and the reason, which is empty for no path.
     """
     grid, terrain = _map_of(problems, k)
     try:
         cells = np.asarray(path)
+        if cells.size == 0:
+            return np.nan, ""
         cost = check_path(grid, cells, problems.movement, terrain=terrain)
     except ValueError as error:
         return np.nan, str(error)

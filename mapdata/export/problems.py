@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from torch.utils.data import Dataset
 
 from mapdata._version import __version__
 from mapdata.arrays import Array, Ints
@@ -153,7 +154,7 @@ def export_problems(
     _check_format_options(file_format, fields, licence, max_length, search)
     check_flag("augment", augment)
     check_flag("distinct", distinct)
-    if isinstance(source, ProblemDataset):
+    if isinstance(source, Dataset):
         raise TypeError(
             f"source: got an object of type {type(source).__name__}, expected what it is made of: "
             "the folder of a dataset, a preset or recipe, or a ProblemSet; the other arguments of "
@@ -235,7 +236,11 @@ def export_problems(
         *_count_notes(parts),
         *_map_notes(parts, written.map_indices),
         *_target_notes(options.fields, statistics),
-        *(_neighbour_notes(parts, written.neighbours) if file_format.has_maze_labels else ()),
+        *(
+            _neighbour_notes(parts, written.neighbours, is_drawn=problem_set is None)
+            if file_format.has_maze_labels
+            else ()
+        ),
         *_copy_notes(written.map_hashes, written.map_indices),
     ]
 
@@ -838,16 +843,20 @@ def _target_notes(
     return []
 
 
-def _neighbour_notes(parts: Sequence[_Part], neighbours: Mapping[str, int]) -> list[str]:
+def _neighbour_notes(
+    parts: Sequence[_Part], neighbours: Mapping[str, int], *, is_drawn: bool
+) -> list[str]:
     """Return notes on mazes whose solution equals the question: no cell is between S and G.
 
     Args:
         parts: the splits.
         neighbours: number of such problems, by split.
+        is_drawn: whether the problems are drawn, so that conditions may leave some out.
     """
+    remedy = "; --length 3: leaves them out" if is_drawn else ""
     return [
         f"{part.split}: in {neighbours[part.split]:,} of {part.count:,} problems S and G are "
-        "neighbours, so the solved maze equals the question; --length 3: leaves them out"
+        f"neighbours, so the solved maze equals the question{remedy}"
         for part in parts
         if neighbours[part.split]
     ]

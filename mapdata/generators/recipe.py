@@ -33,6 +33,9 @@ MAX_RECIPE_BYTES = 2**20
 _KEYS = ("content_hash", "format_version", "identity", "maps", "seed", "spec")
 """The keys of a recipe in JSON; each of them may be left out."""
 
+_ENDINGS_OF_MAPS = (".yaml", ".yml", ".map", ".png", ".pgm", ".jpg", ".bmp", ".npy", ".npz")
+"""Endings of files that users give in place of a recipe, although they hold maps."""
+
 _EXAMPLE = '{"spec": "dungeon", "seed": 7, "maps": 500}'
 """A recipe as JSON, for error messages."""
 
@@ -168,17 +171,20 @@ def _looks_like_a_path(text: str) -> bool:
 
 def _from_file(path: str | Path) -> Recipe:
     """Return the recipe of a JSON file, which is not read if it is too large."""
-    if Path(path).suffix.lower() not in ("", ".json"):
-        raise ValueError(
-            f"recipe: {path}: expected a recipe as .json. 'mapdata import {path} ROOT' makes a "
-            "dataset of a map or picture; then ROOT is given here"
-        )
     byte_count = os.path.getsize(path)
-    if byte_count > MAX_RECIPE_BYTES:
+    is_map = Path(path).suffix.lower() in _ENDINGS_OF_MAPS
+    try:
+        if byte_count > MAX_RECIPE_BYTES:
+            raise ValueError(
+                f"recipe: {path} has {byte_count} bytes, expected at most {MAX_RECIPE_BYTES}"
+            )
+        return _from_json(f"recipe: {path}", Path(path).read_bytes())
+    except ValueError as error:
+        if not is_map:
+            raise
         raise ValueError(
-            f"recipe: {path} has {byte_count} bytes, expected at most {MAX_RECIPE_BYTES}"
-        )
-    return _from_json(f"recipe: {path}", Path(path).read_bytes())
+            f"{error}. Of a map or picture 'mapdata import {path} ROOT' makes a dataset"
+        ) from None
 
 
 def _from_json(source: str, text: str | bytes) -> Recipe:

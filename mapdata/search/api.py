@@ -862,12 +862,23 @@ def _nearest_free_cell(grid: Bytes, cell: Cell) -> str:
 
     The user of a map that `inflate` has changed cannot see which cells it has occupied.
     """
-    free_cells = np.argwhere(grid == 0)
-    if not len(free_cells):
-        return "; the map has no free cell"
-    squared_distances = ((free_cells - cell) ** 2).sum(axis=1)
-    row, column = free_cells[squared_distances.argmin()].tolist()
-    return f"; the nearest free cell is ({row}, {column})"
+    row, column = cell
+    reach = 8
+    while True:  # Most often it is close: a square around the cell is searched, then a larger one.
+        top, left = max(row - reach, 0), max(column - reach, 0)
+        square = grid[top : row + reach + 1, left : column + reach + 1]
+        free_cells = np.argwhere(square == 0) + np.array((top, left))
+        is_whole_map = square.shape == grid.shape
+        if len(free_cells):
+            squared_distances = ((free_cells - cell) ** 2).sum(axis=1)
+            nearest = squared_distances.argmin()
+            # Outside of the square a cell may be nearer than one in its corners.
+            if is_whole_map or squared_distances[nearest] <= reach**2:
+                nearest_row, nearest_column = free_cells[nearest].tolist()
+                return f"; the nearest free cell is ({nearest_row}, {nearest_column})"
+        elif is_whole_map:
+            return "; the map has no free cell"
+        reach *= 4
 
 
 def why_not_free(grid: Bytes, cell: Cell) -> str:

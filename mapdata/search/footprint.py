@@ -68,12 +68,7 @@ def inflate(grid: ArrayLike, radius_cells: float) -> Bytes:
            [1, 1, 1, 1]], dtype=uint8)
     """
     inflated = without_clearance(grid, radius_cells)
-    if 0 < radius_cells < 0.5:
-        warnings.warn(
-            f"radius_cells: a robot with a radius of {radius_cells:g} cells is within one cell, so "
-            "the map does not change; a radius in metres is to be divided by the resolution",
-            stacklevel=2,
-        )
+    _warn_of_no_change(radius_cells)
     return inflated
 
 
@@ -82,6 +77,18 @@ def without_clearance(grid: ArrayLike, radius_cells: float) -> Bytes:
     inflated = _binary_grid(grid).copy()
     inflate_all(inflated[None], min_squared_clearance(radius_cells, name="radius_cells"))
     return inflated
+
+
+def _warn_of_no_change(radius_cells: float) -> None:
+    """Warn the caller of a public function that a radius is above 0 and too small."""
+    # Rounding errors do not matter: 0.35 / 0.7 as float32 counts as half a cell.
+    if 0 < radius_cells < 0.5 * (1 - 1e-6):
+        warnings.warn(
+            f"radius_cells: a robot with a radius of {float(radius_cells):g} cells is within one "
+            "cell, so the map does not change; a radius in metres is to be divided by the "
+            "resolution",
+            stacklevel=3,
+        )
 
 
 def inflate_terrain(terrain: ArrayLike, radius_cells: float) -> Bytes:
@@ -107,7 +114,8 @@ def inflate_terrain(terrain: ArrayLike, radius_cells: float) -> Bytes:
            [0, 1, 2, 0],
            [0, 0, 0, 0]], dtype=uint8)
     """
-    grid = inflate(np.asarray(terrain) == 0, radius_cells)
+    grid = without_clearance(np.asarray(terrain) == 0, radius_cells)
+    _warn_of_no_change(radius_cells)
     return as_terrain(np.where(grid, 0, terrain), grid)
 
 

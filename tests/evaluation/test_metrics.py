@@ -192,6 +192,7 @@ def test_invalid_paths_count_as_failures(cheat: str, movement: Movement) -> None
     (said,) = [str(warning.message) for warning in caught] if path else [""]
     start = "scripted: none of its paths solves its problem; the first is that of problem 0: "
     assert said.startswith(start if path else "")
+    assert all(warning.filename == __file__ for warning in caught)
     if cheat.startswith("from"):
         assert cheat in said
     assert (

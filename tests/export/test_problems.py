@@ -15,6 +15,7 @@ from helpers.grids import random_grids
 from helpers.reference import add, reference_distances
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
+from torch.utils.data import Subset
 
 from mapdata import (
     MapDataset,
@@ -23,6 +24,7 @@ from mapdata import (
     Maze,
     Movement,
     OnlineMapDataset,
+    ProblemSet,
     Random,
     Route,
     build,
@@ -147,6 +149,8 @@ def test_a_dataset_that_is_open_is_no_source(tmp_path: Path) -> None:
     dataset = OnlineMapDataset("maze15", length=5, split="train")
     with pytest.raises(TypeError, match="source: got an object of type OnlineMapDataset, expected"):
         export_problems(dataset, tmp_path / "out")  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="source: got an object of type Subset, expected"):
+        export_problems(Subset(dataset, [1, 2]), tmp_path / "out")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", ["hrm", "maze-hard"])
@@ -163,6 +167,10 @@ def test_notes_count_the_mazes_that_are_their_own_solution(name: str, tmp_path: 
     longer = {"random": {"length": [3, None]}}
     notes = export_problems("maze15", tmp_path / "long", format=name, count=200, problems=longer)
     assert not [note for note in notes if "neighbours" in note]
+    problem_set = ProblemSet.sample("maze15", maps=300, problems="random")
+    notes = export_problems(problem_set, tmp_path / "set", format=name)
+    found = [note for note in notes if "neighbours" in note]
+    assert found[0].endswith("so the solved maze equals the question")  # nothing is drawn
 
 
 def test_a_note_names_a_folder_that_a_preset_hides(

@@ -189,8 +189,14 @@ def test_a_file_of_a_map_is_no_recipe(name: str, tmp_path: Path) -> None:
     """The message says how a map becomes a dataset."""
     path = tmp_path / name
     path.write_text("image: map.pgm\n", encoding="utf-8")
-    with pytest.raises(ValueError, match=f"expected a recipe as .json. 'mapdata import .*{name}"):
+    hint = f"picture 'mapdata import .*{name} ROOT' makes a dataset$"
+    with pytest.raises(ValueError, match=hint):
         as_recipe(path)
+    path.write_bytes(b" " * (2**20 + 1))
+    with pytest.raises(ValueError, match=f"expected at most .*{hint}"):
+        as_recipe(path)
+    path.write_text('{"spec": "dungeon"}', encoding="utf-8")  # a recipe after all
+    assert as_recipe(path) == as_recipe("dungeon")
 
 
 def test_presets_are_public_and_read_only() -> None:

@@ -7,7 +7,6 @@ import zipfile
 from pathlib import Path
 
 import pytest
-import torch
 from helpers.training import trainer
 
 from mapdata import MapDataModule, Movement
@@ -43,26 +42,6 @@ def test_a_model_is_not_trained_on_another_movement_than_its_own() -> None:
             one_step.fit(model, data)
     model = PathPredictor(connectivity=4, widths=(8, 8, 8), passes=1)
     one_step.fit(model, MapDataModule(None, build="maze15", problems="random"))
-
-
-def test_a_saved_model_is_no_checkpoint_of_a_trainer(tmp_path: Path) -> None:
-    """The message names `load`; a checkpoint of a Trainer is read as Lightning reads it."""
-    model = PathPredictor(widths=(8, 8, 8), passes=1)
-    model.save(tmp_path / "saved.pt")
-    with pytest.raises(ValueError, match=r"saved\.pt: no checkpoint of a Trainer; PathPred.*load"):
-        PathPredictor.load_from_checkpoint(tmp_path / "saved.pt")
-    checkpoint = {
-        "pytorch-lightning_version": "2.6.0",
-        "state_dict": model.state_dict(),
-        "hyper_parameters": dict(model.hparams),
-    }
-    torch.save(checkpoint, tmp_path / "trained.ckpt")
-    loaded = PathPredictor.load_from_checkpoint(tmp_path / "trained.ckpt", weights_only=False)
-    assert loaded.hparams == model.hparams
-    del checkpoint["hyper_parameters"], checkpoint["state_dict"]
-    torch.save(checkpoint, tmp_path / "empty.ckpt")
-    with pytest.raises(KeyError, match="state_dict"):
-        PathPredictor.load_from_checkpoint(tmp_path / "empty.ckpt", weights_only=False)
 
 
 def test_an_entry_marked_as_a_folder_is_refused(tmp_path: Path) -> None:

@@ -890,3 +890,24 @@ def test_an_occupied_end_names_the_nearest_free_cell() -> None:
             distance_field(grid, cell)
         with pytest.raises(ValueError, match=f"^problem 0: start: .*{message}$"):
             search_batch("astar", grid[None], [cell], [(1, 1)])
+
+
+def test_the_nearest_free_cell_of_large_maps_is_the_nearest() -> None:
+    """Squares around the cell are searched first; a cell in a corner of one is not the nearest."""
+    draws = np.random.default_rng(3)
+    for size in ((40, 300), (200, 200)):
+        for free in (1, 3, 60):
+            grid = np.ones(size, np.uint8)
+            free_cells = draws.integers(0, size, (free, 2))
+            grid[tuple(free_cells.T)] = 0
+            cell = tuple(np.argwhere(grid)[draws.integers(grid.sum())].tolist())
+            with pytest.raises(ValueError, match="nearest free cell is") as said:
+                astar(grid, cell, tuple(free_cells[0].tolist()))
+            named = tuple(map(int, re.findall("[0-9]+", str(said.value).partition("; ")[2])))
+            assert grid[named] == 0
+            squared = ((free_cells - cell) ** 2).sum(axis=1)
+            assert ((np.array(named) - cell) ** 2).sum() == squared.min()
+    grid = np.ones((40, 40), np.uint8)
+    grid[8, 8] = grid[0, 9] = 0  # the corner of the first square, and nearer beside it
+    with pytest.raises(ValueError, match=r"nearest free cell is \(0, 9\)"):
+        astar(grid, (0, 0), (8, 8))

@@ -100,18 +100,19 @@ def test_inflating_leaves_the_grid_alone() -> None:
     assert inflate(np.zeros((1, 1)), 0.51).tolist() == [[1]]
 
 
-@pytest.mark.parametrize("radius", [0.3, 0.499, np.float32(1e-9)])
+@pytest.mark.parametrize("radius", [0.3, 0.499, np.float32(1e-9), Fraction(1, 3)])
 def test_a_radius_in_metres_is_warned_of(radius: float) -> None:
     """It occupies no cell; a robot that just fits into a cell is meant so, and so is none."""
     grid = np.eye(5, dtype=np.uint8)
     with pytest.warns(UserWarning, match="is within one cell, so the map does not change") as said:
         assert np.array_equal(inflate(grid, radius), grid)
     assert said[0].filename == __file__
-    with pytest.warns(UserWarning, match="is within one cell"):
+    with pytest.warns(UserWarning, match="is within one cell") as said:
         inflate_terrain(1 - grid, radius)
+    assert said[0].filename == __file__
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for fitting in (0, 0.5, 0.6):
+        for fitting in (0, 0.5, float(np.float32(0.45) / np.float32(0.9)), 0.6):
             inflate(grid, fitting)
         pull_taut(np.zeros((5, 5), np.uint8), [(1, 1), (2, 1), (2, 2)], radius)  # keeps a distance
 
