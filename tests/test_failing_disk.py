@@ -204,12 +204,14 @@ def test_an_extension(built: Path, tmp_path: Path) -> None:
     assert let_each_call_fail(tmp_path, built, EXTEND) >= WRITES
 
 
+@pytest.mark.slow
 def test_an_export(built: Path, tmp_path: Path) -> None:
     """The folder appears as a whole or not at all."""
     export = command("export", "@/maps", "@/out", "--format", "arrays", "--split", "val")
     assert let_each_call_fail(tmp_path, built, export) == {"open", "write", "mkdir", "rename"}
 
 
+@pytest.mark.slow
 def test_a_picture(built: Path, tmp_path: Path) -> None:
     """The picture that was there stays until the new one is whole."""
     show = command("show", "@/maps", "-o", "@/map.png")

@@ -189,6 +189,8 @@ def info_command(
             radius=radius,
             follow_links=follow_links,
         )
+        if split is not None and not len(served):
+            raise ValueError(f"--split: {split} has no such problem in {dataset}")
         statistics = served.problem_statistics()
     if problems is not None and card is None:
         print(statistics)

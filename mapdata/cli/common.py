@@ -407,6 +407,20 @@ def output_path(name: str) -> Path:
     return path
 
 
+def check_picture_ending(name: str) -> None:
+    """Refuse, before the work, a file of a figure whose ending names no format of pictures.
+
+    Raises:
+        ValueError: matplotlib writes no such files.
+    """
+    from matplotlib.figure import Figure
+
+    endings = Figure().canvas.get_supported_filetypes()
+    ending = Path(name).suffix[1:].lower()
+    if ending and ending not in endings:
+        raise ValueError(f"{name}: expected one of the endings {', '.join(sorted(endings))}")
+
+
 def unused_name(name: str) -> str:
     """Return ``map.png``, or ``map-2.png`` if that exists, and so on: the name of no file."""
     stem, ending = os.path.splitext(name)

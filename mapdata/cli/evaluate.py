@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import sys
 import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from mapdata.checks import did_you_mean
-from mapdata.cli.common import import_named, output_path
+from mapdata.cli.common import check_picture_ending, import_named, output_path
 from mapdata.cli.problems import load_problems, write_table
 from mapdata.movement import Movement
 
@@ -65,6 +66,8 @@ def evaluate_command(
     for file in (json, figure):
         if file is not None:
             output_path(file)  # refuses it before the work
+    if figure is not None:
+        check_picture_ending(figure)
     movement = Movement(connectivity, corner_cutting, diagonal_cost)
     own = None if planner is None else own_planner(planner, "--planner")
     root, preset = problems, None
@@ -74,6 +77,11 @@ def evaluate_command(
             maps = 600 if maps is None else maps
         elif hint := did_you_mean(problems[0], PRESETS):
             raise ValueError(f"{problems[0]}: there is no such file, dataset or preset{hint}")
+    if root and len(root) == 1 and root[0] in PRESETS:
+        print(
+            f"note: {root[0]} is the dataset in the folder of this name, not the preset",
+            file=sys.stderr,
+        )
     if preset is not None and split is not None:
         raise ValueError(f"--split: the maps of the preset {preset} are new, leave it out")
     options: dict[str, Any] = {}

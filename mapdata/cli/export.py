@@ -52,7 +52,8 @@ def export_command(
       mapdata export data/maps release --format paper
 
     Args:
-        source: folder or URL of a dataset, or several; for problems also a preset or a recipe
+        source: folder or URL of a dataset, or several; for problems also a preset, a recipe or a
+            file of problems (.npz that ProblemSet.save wrote, .scen)
         target: new folder; for planning-datasets a new .npz file
         fields: names of fields, separated by commas (default: map,start,goal,path,cost)
         split: export only this split

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple
 from importlib.util import find_spec
@@ -310,6 +311,13 @@ class MapDataModule(_Base):
             self.setup(stage)
         dataset = self.datasets[split]
         is_training = split == "train"
+        if not is_training and len(dataset) == 0:
+            warnings.warn(
+                f"{split}: no map of the dataset gives a problem of this split, so its loader is "
+                "empty; a subclass may return a loader of a problem set (docs/problems.md, Problem "
+                "sets from files)",
+                stacklevel=3,
+            )
         drop_last = self.drop_last and is_training
         sampler = EpochSampler(
             dataset,

@@ -7,6 +7,7 @@ TransPath: Kirilenko et al., AAAI 2023, https://arxiv.org/abs/2212.11730.
 from __future__ import annotations
 
 import inspect
+import math
 import time
 import warnings
 from collections.abc import Sequence
@@ -158,8 +159,9 @@ def evaluate(
         Exception: whatever a planner raises.
 
     Warns:
-        UserWarning: none of the paths of a planner solves its problem; the message says why the
-            first does not.
+        UserWarning: none of the paths of a planner solves its problem (the message says why the
+            first does not); or paths of its ``plan_batch`` cost something else than those of its
+            ``plan``.
     """
     if not isinstance(problems, ProblemSet):
         raise TypeError(
@@ -167,6 +169,8 @@ def evaluate(
             "mapdata.formats.read_problems(file) reads one, and ProblemSet.read(root) takes those "
             "of a dataset"
         )
+    if hasattr(planners, "plan"):
+        raise TypeError("planners: got one planner, expected a list of planners")
     for planner in planners:
         _check_planner(planner, problems.movement)
     names = [planner.name for planner in planners]
@@ -182,12 +186,15 @@ def evaluate(
     with bar(progress, total, unit=" problems") as advance:
         runs = []
         for planner in planners:
-            run, fault = _run(planner, problems, advance)
+            run, first_fault = _run(planner, problems, advance)
             runs.append(run)
-            if fault and np.isnan(run.costs).all():
+            if first_fault and np.isnan(run.costs).all():
+                warnings.warn(_no_path_warning(planner.name, first_fault), stacklevel=2)
+            if run.other_costs_batched:
                 warnings.warn(
-                    f"{planner.name}: none of its paths solves its problem; the first is {fault}. "
-                    "A path is cells (row, col) from start to goal",
+                    f"{planner.name}: {run.other_costs_batched} of {len(problems)} paths of "
+                    "plan_batch cost something else than those of plan, from which all columns but "
+                    "ms_batched are",
                     stacklevel=2,
                 )
     reference_expansions: Floats | Ints = problems.optimal.iterations
@@ -196,12 +203,22 @@ def evaluate(
     return _table(names, runs, problems, reference_expansions, bootstrap, seed)
 
 
+def _no_path_warning(name: str, first_fault: str) -> str:
+    """Return the warning of paths none of which solves its problem."""
+    return (
+        f"{name}: none of its paths solves its problem; the first is {first_fault}. A path is "
+        "cells (row, col) from start to goal"
+    )
+
+
 def _check_planner(planner: Planner, movement: Movement) -> None:
     """Refuse what is no planner, and a planner for another rule of moves than the problems have.
 
     Diagonal moves are illegal where four moves are allowed, so that such a planner would fail on
     nearly all problems, and its row would not say why.
     """
+    if isinstance(planner, type):
+        raise TypeError(f"planners: got the class {planner.__name__}, expected an object of it")
     for attribute in ("name", "plan"):
         if not hasattr(planner, attribute):
             raise TypeError(
@@ -242,6 +259,9 @@ def score_paths(
     Raises:
         ValueError: no problem, no resample, or another number of paths than of problems.
 
+    Warns:
+        UserWarning: none of the paths solves its problem.
+
     >>> import numpy as np
     >>> from mapdata import Movement, search_batch
     >>> movement = Movement(8, corner_cutting=True, diagonal_cost=1)
@@ -261,9 +281,15 @@ def score_paths(
         paths = paths.paths()
     if len(paths) != len(problems):
         raise ValueError(f"paths: got {len(paths)}, expected one for each of {len(problems)}")
-    costs = np.array([_cost(path, problems, k)[0] for k, path in enumerate(paths)])
+    costs = np.empty(len(problems))
+    first_fault = ""
+    for k, path in enumerate(paths):
+        costs[k], fault = _cost(path, problems, k)
+        first_fault = first_fault or fault
+    if first_fault and np.isnan(costs).all():
+        warnings.warn(_no_path_warning(name, first_fault), stacklevel=2)
     unknown = np.full(len(problems), np.nan)
-    run = _Run(costs, expansions, unknown, unknown, unknown, np.empty(0))
+    run = _Run(costs, expansions, unknown, unknown, unknown, np.empty(0), 0)
     return _table([name], [run], problems, problems.optimal.iterations, bootstrap, seed)
 
 
@@ -329,6 +355,8 @@ class _Run(NamedTuple):
         looks: (N,) numbers of visited cells.
         ms: (N,) milliseconds that `plan` took.
         ms_batched: (K,) milliseconds a problem of K calls of `plan_batch`; (0,) without it.
+        other_costs_batched: number of paths of `plan_batch` that cost something else than those of
+            `plan`.
     """
 
     costs: Floats
@@ -337,6 +365,7 @@ class _Run(NamedTuple):
     looks: Floats
     ms: Floats
     ms_batched: Floats
+    other_costs_batched: int
 
 
 def _table(
@@ -419,17 +448,18 @@ def _run(planner: Planner, problems: ProblemSet, advance: Advance) -> tuple[_Run
         ms[k] = 1000 * (time.process_time() - began)
         _check_plan(planner, plan)
         costs[k], fault = _cost(plan.path, problems, k)
-        if fault and not first_fault:
-            first_fault = f"that of problem {k}: {fault}"
+        first_fault = first_fault or fault
         expansions[k] = plan.expansions
         prepared[k] = plan.prepared
         looks[k] = plan.expansions if plan.looks is None else plan.looks
         if repetition > 0:
             advance(1)
     ms_batched = np.empty(0)
+    other_costs = 0
     if isinstance(planner, BatchPlanner):
-        ms_batched = _batched_ms(planner, problems, advance)
-    return _Run(costs, expansions, prepared, looks, ms, ms_batched), first_fault
+        ms_batched, batched_costs = _run_batched(planner, problems, advance)
+        other_costs = int((~np.isclose(batched_costs, costs, equal_nan=True)).sum())
+    return _Run(costs, expansions, prepared, looks, ms, ms_batched, other_costs), first_fault
 
 
 def _check_plan(planner: Planner, plan: object) -> None:
@@ -437,12 +467,21 @@ def _check_plan(planner: Planner, plan: object) -> None:
 
     Raises:
         TypeError: it did not.
+        ValueError: a number of cells is negative or not finite.
     """
     if not all(hasattr(plan, name) for name in Plan._fields):
         raise TypeError(
             f"{planner.name}: plan returned {type(plan).__name__}, expected a mapdata.Plan(path, "
             "expansions)"
         )
+    for name in ("expansions", "prepared", "looks"):
+        count = getattr(plan, name)
+        if name == "looks" and count is None:
+            continue
+        if not 0 <= count < math.inf:
+            raise ValueError(
+                f"{planner.name}: {name}: got {count}, expected a number of cells, 0 or more"
+            )
 
 
 def _outcomes(run: _Run, problems: ProblemSet, reference_expansions: Floats | Ints) -> Floats:
@@ -460,13 +499,20 @@ def _outcomes(run: _Run, problems: ProblemSet, reference_expansions: Floats | In
     return np.column_stack([is_solved, is_optimal, cost_ratio, expansion_ratio, saved])
 
 
-def _batched_ms(planner: BatchPlanner, problems: ProblemSet, advance: Advance) -> Floats:
-    """Return the milliseconds a problem of each call of ``plan_batch``, as `_run` does of ``plan``.
+def _run_batched(
+    planner: BatchPlanner, problems: ProblemSet, advance: Advance
+) -> tuple[Floats, Floats]:
+    """Solve all problems in batches, and measure times as `_run` does.
+
+    Returns:
+        The milliseconds a problem of each call of ``plan_batch``, and the costs of the paths, (N,),
+        NaN for failures.
 
     Raises:
         ValueError: it returns another number of plans than it got problems.
     """
     ms = []
+    costs = np.empty(len(problems))
     # The first batch is solved twice, and the second time counts, as in `_run`.
     for repetition, first in enumerate((0, *range(0, len(problems), _BATCH))):
         batch = slice(first, first + _BATCH)
@@ -481,9 +527,12 @@ def _batched_ms(planner: BatchPlanner, problems: ProblemSet, advance: Advance) -
             raise ValueError(
                 f"{planner.name}: plan_batch gave {len(plans)} plans for {len(starts)} problems"
             )
+        for k, plan in enumerate(plans, start=first):
+            _check_plan(planner, plan)
+            costs[k], _ = _cost(plan.path, problems, k)
         if repetition > 0:
             advance(len(plans))
-    return np.array(ms[1:])
+    return np.array(ms[1:]), costs
 
 
 def _map_of(problems: ProblemSet, k: int) -> tuple[Bytes, Bytes | None]:
@@ -504,13 +553,14 @@ def _cost(path: npt.ArrayLike, problems: ProblemSet, k: int) -> tuple[float, str
             return np.nan, ""
         cost = check_path(grid, cells, problems.movement, terrain=terrain)
     except ValueError as error:
-        return np.nan, str(error)
+        return np.nan, f"that of problem {k}: {error}"
     start, goal = problems.starts[k], problems.goals[k]
     if np.array_equal(cells[0], start) and np.array_equal(cells[-1], goal):
         return cost, ""
     first, last = tuple(cells[0].tolist()), tuple(cells[-1].tolist())
     return np.nan, (
-        f"from {first} to {last}, expected from {tuple(start.tolist())} to {tuple(goal.tolist())}"
+        f"that of problem {k}: from {first} to {last}, expected from {tuple(start.tolist())} to "
+        f"{tuple(goal.tolist())}"
     )
 
 

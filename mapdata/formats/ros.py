@@ -128,15 +128,23 @@ class RosMap:
             cells: (..., 2) integers.
 
         Raises:
-            ValueError: what `mapdata.to_metres` refuses, or a yaw of NaN.
+            ValueError: what `mapdata.to_metres` refuses, cells outside of the map, or a yaw of NaN.
         """
-        return to_metres(
+        metres = to_metres(
             points=points,
             cells=cells,
             rows=len(self.cells),
             resolution=self.resolution,
             origin=self._known_origin(),
         )
+        if cells is not None and np.size(cells):
+            last = np.reshape(cells, (-1, 2)).max(axis=0)
+            if (last >= self.cells.shape).any():
+                raise ValueError(
+                    f"cells: got cells up to {tuple(last.tolist())}, outside of the map of "
+                    f"{self.cells.shape[0]} x {self.cells.shape[1]} cells"
+                )
+        return metres
 
     def to_cells(self, metres: ArrayLike) -> Ints:
         """Return the cells (row, col) in which points lie: the inverse of `to_metres`.

@@ -155,8 +155,12 @@ def _load(recipe: object) -> Recipe:
     if isinstance(recipe, (str, Path)) and os.path.isfile(recipe):
         return _from_file(recipe)
     if isinstance(recipe, Path) or (isinstance(recipe, str) and _looks_like_a_path(recipe)):
-        state = "is a folder" if os.path.isdir(recipe) else "no such file"
-        raise ValueError(f"recipe: {recipe}: {state}, expected a recipe as JSON")
+        if os.path.isdir(recipe):
+            raise ValueError(
+                f"recipe: {recipe}: is a folder, expected a recipe as JSON; problems of a dataset "
+                "are served by ProblemSet.read, MapDataset and MapDataModule"
+            )
+        raise ValueError(f"recipe: {recipe}: no such file, expected a recipe as JSON")
     raise ValueError(
         f"recipe: got {recipe!r}, expected a preset ({', '.join(PRESETS)}), the path of a recipe "
         f"file, JSON text such as {_EXAMPLE}, a mapping, a MapGenerator or a Recipe"

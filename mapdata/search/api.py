@@ -234,6 +234,8 @@ def search_batch(
         ValueError: a problem that `bfs` refuses, with the number of the first such problem; arrays
             that do not fit together.
     """
+    if not isinstance(search, str):
+        raise TypeError(f'search: got {type(search).__name__}, expected "bfs" or "astar"')
     check_choice("search", search, SEARCHES)
     return solve_batch(SEARCHES[search], grids, starts, goals, movement, terrain=terrain)
 

@@ -257,6 +257,7 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
         advance: called with the number of maps labelled since its last call.
 
     Raises:
+        TypeError: ``maps`` are no `Maps`.
         ValueError: a seed point that is not a free cell of its map; terrain that does not fit the
             maps, or whose costs are too high to be exact. The message names the map.
 
@@ -266,6 +267,10 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
     array([[ 0., 39.],
            [39.,  0.]])
     """
+    if not hasattr(maps, "packed"):
+        raise TypeError(
+            f"maps: got {type(maps).__name__}, expected the Maps that mapdata.generate returns"
+        )
     terrain = maps.terrain
     if terrain is not None and len(terrain) != len(maps):
         raise ValueError(f"terrain: got {len(terrain)} maps, expected {len(maps)}")

@@ -236,6 +236,8 @@ def read_manifest(root: Path, follow_links: bool = False) -> Manifest:
             is_in_dataset = (root.parent / MANIFEST).is_file()
             if is_in_dataset:
                 hint = f"Give its folder: {root.parent}"
+            elif root.suffix.lower() in (".npz", ".scen"):
+                hint = "Give the folder of a dataset"
             else:
                 hint = (
                     "Give the folder of a dataset; 'mapdata import FILE ROOT' makes one of a map, "

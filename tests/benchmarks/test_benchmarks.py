@@ -23,6 +23,7 @@ from mapdata.formats.movingai import read_scen, read_terrain, terrain_grid
 MAPS = 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", ["paper", pytest.param("dungeon", marks=pytest.mark.slow)])
 def test_naive_labels_equal_ours(preset: str) -> None:
     """Cells of every path, iterations and both matrices, on easy maps and on hard ones."""
@@ -31,6 +32,7 @@ def test_naive_labels_equal_ours(preset: str) -> None:
         assert naive.differences(labels, i) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", ["paper", pytest.param("dungeon", marks=pytest.mark.slow)])
 def test_careful_labels_equal_naive_ones(preset: str) -> None:
     """All of them; matrices as nested lists."""

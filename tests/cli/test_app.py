@@ -370,6 +370,7 @@ def test_verbs_that_read_all_maps_show_a_bar(
     assert f"{MAPS}/{MAPS}" in outcome.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flags", [("report", "-o"), ("info", "--card")], ids=["report", "card"])
 def test_output_is_written_through_links_and_devices(
     flags: tuple[str, str], run: Command, dataset: Path, tmp_path: Path
@@ -448,6 +449,7 @@ def test_verify_refuses_what_it_does_not_know(run: Command, tmp_path: Path) -> N
     assert outcome.out.startswith(f"{archive}: holds no saved problems (holds no array 'about'")
 
 
+@pytest.mark.slow
 def test_verify_works_without_stderr(dataset: Path) -> None:
     """A service may run without standard error; the bar is then not shown."""
     command = f"'{sys.executable}' -m mapdata verify '{dataset}' 2>&-"
@@ -485,6 +487,7 @@ def test_show_draws_the_map_and_colours_of_its_flags(
     assert len(set(pictures)) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("verb", "name"), [("show", "map.png"), ("report", "report.html")])
 def test_without_output_no_file_is_replaced(
     verb: str,
@@ -1146,6 +1149,7 @@ main(["build", sys.argv[1] + "/maps", "--maps", "40", "--shard-size", "20", "--w
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", [300, 12_000], ids=["not even the manifest", "no shard"])
 def test_a_full_disk_is_reported_in_one_line(limit: int, tmp_path: Path) -> None:
     """The disk is really full (RLIMIT_FSIZE); the exit code is 2, and no partial file remains."""
@@ -1182,6 +1186,7 @@ print([name for name in {heavy} if name in sys.modules])
     assert done.stdout == "[]\n"
 
 
+@pytest.mark.slow
 def test_the_script_has_a_default_root(tmp_path: Path) -> None:
     """``python scripts/build_shards.py`` builds under data/maps, with the flags and exit codes of
     the verb.
@@ -1228,6 +1233,7 @@ def test_the_script_takes_a_root_and_the_flags(
     forget("pillars", "columns")
 
 
+@pytest.mark.slow
 def test_a_closed_pipe_is_no_error(dataset: Path) -> None:
     """``mapdata info ROOT | head -1`` prints no error, whether the output is long or short."""
     for arguments in (["info", str(dataset)], ["--help"]):

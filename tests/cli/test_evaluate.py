@@ -138,6 +138,18 @@ def test_many_problems_on_one_map_for_a_robot(
     assert sampled.content_hash[:12] in capsys.readouterr().out
 
 
+def test_a_note_names_the_preset_that_a_folder_hides(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A dataset in the working folder that is named as a preset is what is taken."""
+    build(tmp_path / "maze15", DUNGEON, maps=2, seed=9, workers=1)
+    monkeypatch.chdir(tmp_path)
+    main(["evaluate", "maze15", "--split", "train"])
+    captured = capsys.readouterr()
+    assert "note: maze15 is the dataset in the folder of this name, not the preset" in captured.err
+    assert "of maze15" in captured.out
+
+
 @pytest.mark.parametrize("option", ["--per-map 2", "--split val", "--radius 0.1"])
 def test_a_file_has_its_own_problems(
     tmp_path: Path, option: str, capsys: pytest.CaptureFixture[str]
@@ -175,6 +187,7 @@ def test_the_figure_is_written(tmp_path: Path) -> None:
         (["dungeon", "--split", "val"], "--split: the maps of the preset dungeon are new"),
         (["dungeon", "--json", "no/out.json"], "no/out.json: cannot be written"),
         (["dungeon", "--figure", "no/out.png"], "no/out.png: cannot be written"),
+        (["dungeon", "--figure", "out.foo"], "out.foo: expected one of the endings"),
         (["dungeon", "--planner", "own_planners"], "got 'own_planners', expected MODULE:NAME"),
         (["dungeon", "--planner", "own_planners.py:Mine"], "expected the name of a module"),
         (["dungeon", "--planner", "missing:Mine"], "there is no module 'missing'"),

@@ -69,6 +69,7 @@ def few_descriptors(more: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
 
 
+@pytest.mark.slow
 @LINUX
 def test_many_shards_with_few_descriptors(root: Path, one: Path) -> None:
     """An epoch in random order over 120 shards, with room for 12 more open files, is that of one

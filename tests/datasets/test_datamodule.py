@@ -111,6 +111,7 @@ assert MapDataModule.__bases__ and "pytorch_lightning" in sys.modules
 """
 
 
+@pytest.mark.slow
 def test_only_the_data_module_loads_lightning(root: str, tmp_path: Path) -> None:
     """Neither does a dataset that is built and read, nor a spawned worker of the module's loader,
     which gets dataset and collate function pickled.
@@ -522,7 +523,17 @@ RESUMED: dict[str, tuple[dict[str, Any], dict[str, Any], int]] = {
 """Arguments of the data module, of model and Trainer, and the step that is gone on from."""
 
 
-@pytest.mark.parametrize("case", RESUMED)
+QUICK_RESUMED = ("plain", "random", "workers", "second-epoch", "limit", "drop-last")
+"""Cases that README's test command tries; the others are slow."""
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(case, marks=() if case in QUICK_RESUMED else pytest.mark.slow)
+        for case in RESUMED
+    ],
+)
 def test_a_resumed_epoch_goes_on_where_it_stopped(root: str, tmp_path: Path, case: str) -> None:
     """Exactly the samples that were not seen yet, in the same order, then the same epochs."""
     data, arguments, step = RESUMED[case]
@@ -1125,6 +1136,7 @@ def test_cli_with_flags(root: str) -> None:
     assert cli.datamodule.serving.movement == Movement(8)
 
 
+@pytest.mark.slow
 def test_cli_with_yaml(root: str, tmp_path: Path) -> None:
     """A file holds the same; flags win over it."""
     config = tmp_path / "config.yaml"
@@ -1157,6 +1169,7 @@ def test_cli_takes_a_dtype_and_a_transform(
     assert (problem.dtype, map_.dtype) == (torch.int64, torch.float64)
 
 
+@pytest.mark.slow
 def test_cli_takes_several_roots(root: str, tmp_path: Path) -> None:
     """As a list, of a flag or a file; null stands for none of them, and not for a name."""
     config = tmp_path / "config.yaml"
@@ -1380,3 +1393,16 @@ def test_plot_draws_a_batch(root: str) -> None:
     assert len(panels) == 4
     with pytest.raises(ValueError, match=r"split: got 'tran'.*did you mean train\?"):
         data.plot(split="tran")
+
+
+def test_a_loader_without_samples_is_warned_of(tmp_path: Path) -> None:
+    """One map is in the split train; Lightning would validate nothing, and say little."""
+    builder.build(tmp_path / "maps", MapSpec(), maps=1, seed=1, workers=1)
+    data = MapDataModule(tmp_path / "maps")
+    assert len(data.train_dataloader()) > 0
+    for split in ("val", "test"):
+        with pytest.warns(
+            UserWarning, match=f"{split}: no map of the dataset gives a prob"
+        ) as said:
+            assert len(getattr(data, f"{split}_dataloader")()) == 0
+        assert said[0].filename == __file__

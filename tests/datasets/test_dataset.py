@@ -579,7 +579,22 @@ AUGMENTED: dict[str, tuple[str, dict[str, Any]]] = {
 """Maps and arguments for each way in which a sample is made."""
 
 
-@pytest.mark.parametrize("case", AUGMENTED)
+QUICK_AUGMENTED = (
+    "stored paths",
+    "another movement",
+    "random problems of a robot",
+    "online random problems",
+)
+"""Cases that README's test command tries; the others are slow."""
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(case, marks=() if case in QUICK_AUGMENTED else pytest.mark.slow)
+        for case in AUGMENTED
+    ],
+)
 def test_an_augmented_sample_is_a_symmetry_of_the_plain_one(
     roots: dict[str, str], case: str
 ) -> None:

@@ -545,6 +545,11 @@ OVER_MAZE = Terrain(costs=(1, 7, 30), scale=3, over=Maze((17, 21), corridor=3))
 
 FAMILIES: dict[str, Any] = {"terrain": "terrain", "tiles": "tiles", "over a maze": OVER_MAZE}
 
+families = pytest.mark.parametrize(
+    "name", ["terrain", "tiles", pytest.param("over a maze", marks=pytest.mark.slow)]
+)
+"""Each of `FAMILIES`; one of them is slow."""
+
 
 @pytest.fixture(scope="module")
 def roots(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
@@ -556,7 +561,7 @@ def roots(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 
 @movements
-@pytest.mark.parametrize("name", FAMILIES)
+@families
 @pytest.mark.parametrize("radius", [0.0, 0.1])
 def test_shards_and_online_maps_serve_the_same_random_problems(
     roots: dict[str, str], name: str, movement: Movement, radius: float
@@ -587,7 +592,7 @@ def test_shards_and_online_maps_serve_the_same_random_problems(
 
 @searches
 @movements
-@pytest.mark.parametrize("name", FAMILIES)
+@families
 def test_shards_and_online_maps_serve_the_same_routes(
     roots: dict[str, str], name: str, movement: Movement, search: str
 ) -> None:

@@ -46,6 +46,7 @@ def front_matter(text: str) -> dict[str, object]:
     return dict(yaml.safe_load(matter))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("generator", [SPEC, WIDE], ids=["small", "wide"])
 def test_the_card_rebuilds_the_dataset_bit_for_bit(tmp_path: Path, generator: MapSpec) -> None:
     """The card rebuilds the dataset bit for bit."""

@@ -5,6 +5,7 @@ their known values.
 from __future__ import annotations
 
 import json
+import math
 import runpy
 import warnings
 from collections.abc import Callable, Sequence
@@ -26,8 +27,17 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Annotation, Text
 from scipy import stats
 
-from mapdata import MapSpec, Plan, ProblemSet, astar, build, evaluate
-from mapdata.evaluation import METRICS, TIMES, Planner, classical, median_interval, metrics, to_text
+from mapdata import MapSpec, Plan, ProblemSet, astar, build, evaluate, search_batch
+from mapdata.evaluation import (
+    METRICS,
+    TIMES,
+    Planner,
+    classical,
+    median_interval,
+    metrics,
+    score_paths,
+    to_text,
+)
 from mapdata.models.evaluate import evaluate_planners
 from mapdata.movement import Movement
 from mapdata.plotting import plot_planners
@@ -266,6 +276,58 @@ def test_only_planners_without_any_path_are_warned_of(recwarn: pytest.WarningsRe
     assert not recwarn.list
 
 
+@dataclass
+class Batched(Scripted):
+    """A planner that answers batches with plans of their own."""
+
+    batch: Sequence[tuple[Sequence[tuple[float, float]], int]] = ()
+
+    def plan_batch(self, grids: Grid, starts: Cells, goals: Cells) -> list[Plan]:
+        """Return the plans in their order."""
+        return [Plan(np.array(path).reshape(-1, 2), number) for path, number in self.batch]
+
+
+def test_other_paths_of_plan_batch_are_warned_of() -> None:
+    """The table shows those of `plan` only, beside the time of `plan_batch`."""
+    plans: list[tuple[Sequence[tuple[float, float]], int]] = [(DETOUR, 5), ([], 1), (DOWN, 4)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        evaluate([Batched(plans, "same", batch=plans)], three(), bootstrap=5)
+    with pytest.warns(UserWarning, match="turned: 2 of 3 paths of plan_batch cost") as said:
+        evaluate([Batched(plans, "turned", batch=plans[::-1])], three(), bootstrap=5)
+    assert said[0].filename == __file__
+    with pytest.raises(TypeError, match="turned: plan returned str"):
+        evaluate([Functional(lambda *_: "path", "turned")], three())  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("field", ["expansions", "prepared", "looks"])
+@pytest.mark.parametrize("count", [-1, math.nan, math.inf])
+def test_impossible_numbers_of_cells_are_refused(field: str, count: float) -> None:
+    """They would make ratios that no planner can have."""
+    numbers: dict[str, Any] = {"expansions": 4, field: count}
+    plan = Plan(np.array(DOWN), **numbers)
+    with pytest.raises(ValueError, match=f"functional: {field}: got {count}, expected a number"):
+        evaluate([Functional(lambda *_: plan)], three())
+
+
+def test_what_is_no_list_of_planners_is_refused() -> None:
+    """A class, and a planner alone, as the command line takes them."""
+    with pytest.raises(TypeError, match="planners: got the class Scripted, expected an object"):
+        evaluate([Scripted], three())  # type: ignore[list-item]
+    with pytest.raises(TypeError, match="planners: got one planner, expected a list"):
+        evaluate(Scripted([]), three())  # type: ignore[arg-type]
+
+
+def test_scores_of_paths_none_of_which_is_right_are_warned_of() -> None:
+    """For example with starts and goals exchanged."""
+    problems = three()
+    paths = search_batch("astar", problems.grids, problems.goals, problems.starts, Movement())
+    message = r"paths: none of its paths solves .* problem 0: from \(0, 2\) to \(0, 0\), expected"
+    with pytest.warns(UserWarning, match=message) as said:
+        score_paths(problems, paths, bootstrap=5)
+    assert said[0].filename == __file__
+
+
 def test_a_table_of_hard_problems_alone_is_printed_once() -> None:
     """The second block would repeat the first one."""
     problems = three()
@@ -472,6 +534,7 @@ def run(*arguments: str) -> None:
     runpy.run_path(str(SCRIPT))["main"](list(arguments))
 
 
+@pytest.mark.slow
 def test_the_script_writes_a_list_of_rows(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -510,6 +510,18 @@ def test_a_missing_field_is_named(missing: str, tmp_path: Path) -> None:
         read_map(path)
 
 
+@pytest.mark.parametrize("cell", [(1000, 1), (1, 1000), (-1, -1)])
+def test_cells_outside_of_the_map_have_no_metres(cell: tuple[int, int], tmp_path: Path) -> None:
+    """As `to_cells` refuses points outside; the padding of paths is outside, too."""
+    ros_map = read_map(write(tmp_path))
+    rows, columns = ros_map.cells.shape
+    assert ros_map.to_metres(cells=[(0, 0), (rows - 1, columns - 1)]).shape == (2, 2)
+    with pytest.raises(ValueError, match="cells: got"):
+        ros_map.to_metres(cells=[(0, 0), cell])
+    with pytest.raises(ValueError, match="cells: got"):
+        ros_map.to_metres(cells=cell)
+
+
 def test_the_picture_of_a_map_is_no_map(tmp_path: Path) -> None:
     """Its .yaml file has the resolution and the origin."""
     write(tmp_path)

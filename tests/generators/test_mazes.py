@@ -201,6 +201,7 @@ def test_planners_are_compared_on_mazes() -> None:
     assert len(ProblemSet.sample(Maze(reopened=0.1), seed=3, maps=5, movement=Movement(8))) == 5
 
 
+@pytest.mark.slow
 def test_every_verb_takes_mazes(
     root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -199,6 +199,14 @@ def test_a_file_of_a_map_is_no_recipe(name: str, tmp_path: Path) -> None:
     assert as_recipe(path) == as_recipe("dungeon")
 
 
+def test_a_dataset_is_no_recipe(tmp_path: Path) -> None:
+    """The message names what serves the problems of a dataset."""
+    with pytest.raises(
+        ValueError, match=r"is a folder, .*; problems of a dataset are served by ProblemSet\.read"
+    ):
+        as_recipe(str(tmp_path))
+
+
 def test_presets_are_public_and_read_only() -> None:
     """`mapdata.PRESETS` maps each name to its generator."""
     assert mapdata.PRESETS["dungeon"] == MapSpec.preset("dungeon")

@@ -196,6 +196,7 @@ def fit(model: CostPredictor, steps: int) -> CostPredictor:
     return model
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("loss", "highest"),
     [("paths", 0.10), pytest.param("terrain", 0.10, marks=pytest.mark.slow)],
@@ -299,6 +300,7 @@ def test_light_and_contrast_do_not_change_predictions(size: tuple[int, int]) -> 
     torch.testing.assert_close(with_contrast, costs, rtol=0, atol=0.2 * spread)
 
 
+@pytest.mark.slow
 def test_colours_without_any_texture_are_learned() -> None:
     """Each cell has a single colour, one for each cost, in pictures of different brightness."""
     torch.manual_seed(0)

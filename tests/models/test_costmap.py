@@ -156,6 +156,7 @@ def test_lines_between_poses_are_moves() -> None:
 # --- the fit ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_learnt_costs_are_those_of_the_driver(costmap: Costmap) -> None:
     """On new problems paths cost at most a tenth of the regret of shortest paths more than the
     cheapest ones; held-back drives are nearest to the learnt costs.
@@ -214,6 +215,7 @@ def test_the_fit_is_repeatable() -> None:
     assert torch.equal(torch.rand(2), expected)
 
 
+@pytest.mark.slow
 def test_planes_of_ones_own_and_several_maps() -> None:
     """Maps of other sizes are fitted together; there is no curve of one's own planes."""
     wide = RosMap(np.pad(office().cells, ((0, 0), (0, 20))), RESOLUTION, (0.0, 0.0, 0.0))

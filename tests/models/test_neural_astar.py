@@ -118,6 +118,7 @@ def test_the_search_expands_what_a_slow_one_does(movement: Movement) -> None:
     assert 10 < solved < 60
 
 
+@pytest.mark.slow
 def test_without_guidance_it_is_the_search_that_it_is_compared_with() -> None:
     """With equal guidance costs it expands as many cells as the row "A* of Neural A*", except where
     ties are broken otherwise in 32-bit floats.

@@ -623,6 +623,7 @@ def test_learns_quickly(tmp_path: Path) -> None:
     assert table.success["path_predictor (walk)"] == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("connectivity", [pytest.param(4, marks=pytest.mark.slow), 8])
 def test_learns_from_map_start_goal_path(tmp_path: Path, connectivity: int) -> None:
     """The default fields of a batch are enough: after the training the predictions for all cells of
@@ -920,6 +921,7 @@ def test_validation_logs_opt_and_hmean(tmp_path: Path, unsolvable: bool) -> None
     assert logged["val_hmean"] == pytest.approx(table["hmean"], abs=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_a_limit_of_1_is_one_batch(script: Callable[[list[str]], None]) -> None:
     """The 1 of a flag arrives at Lightning as 1.0, which would mean all batches."""

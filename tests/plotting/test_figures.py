@@ -73,6 +73,7 @@ def test_distributions_draw_every_value(small: DatasetStatistics) -> None:
     assert_tidy(figure_of(axes[0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "generator", [WIDE, MapSpec((70, 9), (2, 9), (3, 12), (2, 4), (1, 2))], ids=["wide", "tall"]
 )
@@ -87,6 +88,7 @@ def test_all_figures_are_tidy_and_reproducible(tmp_path: Path, generator: MapSpe
     assert first.read_bytes() == second.read_bytes()
 
 
+@pytest.mark.slow
 def test_imported_maps_are_drawn_without_rooms(tmp_path: Path) -> None:
     """Captions and axes speak of seed points, and a map may have only one."""
     grids = generate(WIDE, 5, range(6)).occupancy
@@ -125,6 +127,7 @@ def test_the_gallery_of_equally_many_seed_points_goes_from_easy_to_hard(tmp_path
     assert [tick for tick in rooms.get_xticks() if low <= tick <= high] == [4]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("figure", FIGURES)
 def test_command_writes_every_figure(small: DatasetStatistics, tmp_path: Path, figure: str) -> None:
     """``mapdata show`` writes each figure as a PNG."""

@@ -66,6 +66,7 @@ def test_map_fits_into_any_figure(generator: MapSpec, layout: str | None) -> Non
     assert_tidy(figure)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rooms", [2, 5, 9, 120])
 def test_own_figures_are_tidy(rooms: int) -> None:
     """No texts overlap in figures of maps with few or many rooms."""

@@ -319,6 +319,7 @@ def assert_frequencies(
         assert stats.chisquare(observed, expected).pvalue > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radius", [0, 1])
 @pytest.mark.parametrize("movement", [*MOVEMENTS, NEURAL_ASTAR], ids=str)
 def test_frequencies_are_those_of_the_stated_distribution(movement: Movement, radius: int) -> None:

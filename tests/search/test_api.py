@@ -911,3 +911,10 @@ def test_the_nearest_free_cell_of_large_maps_is_the_nearest() -> None:
     grid[8, 8] = grid[0, 9] = 0  # the corner of the first square, and nearer beside it
     with pytest.raises(ValueError, match=r"nearest free cell is \(0, 9\)"):
         astar(grid, (0, 0), (8, 8))
+
+
+def test_a_search_that_was_forgotten_is_named() -> None:
+    """The maps stand in its place then."""
+    grids = np.zeros((1, 3, 3), np.uint8)
+    with pytest.raises(TypeError, match='search: got ndarray, expected "bfs" or "astar"'):
+        search_batch(grids, [(0, 0)], [(2, 2)], Movement())  # type: ignore[arg-type]

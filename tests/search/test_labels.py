@@ -41,6 +41,10 @@ SPECS = {
     "open": MapSpec((15, 15), (2, 6), (5, 15), (5, 15), passage_width=(1, 5)),
 }
 PRESETS = {"paper": 16, "narrow": 16, "dungeon": 6, "dungeon128": 1}
+"""Number of maps of each preset."""
+
+QUICK_PRESETS = ("paper",)
+"""Presets that README's test command tries; the others are slow."""
 
 
 def seed_points_of(maps: Maps, i: int) -> list[reference.Cell]:
@@ -118,7 +122,7 @@ def test_small_maps_equal_the_reference(name: str, movement: Movement) -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=pytest.mark.slow if name == "dungeon128" else ())
+        pytest.param(name, marks=() if name in QUICK_PRESETS else pytest.mark.slow)
         for name in PRESETS
     ],
 )
@@ -297,3 +301,9 @@ def test_bits_and_queue_give_equal_labels(preset: str, monkeypatch: pytest.Monke
         found.append(label(maps).bfs)
     for name in ("moves", "offsets", "iterations", "costs"):
         np.testing.assert_array_equal(getattr(found[0], name), getattr(found[1], name))
+
+
+def test_a_grid_in_place_of_maps_is_refused() -> None:
+    """Labels are of maps with seed points."""
+    with pytest.raises(TypeError, match="maps: got ndarray, expected the Maps that"):
+        label(np.zeros((3, 3), np.uint8))  # type: ignore[arg-type]

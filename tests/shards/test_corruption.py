@@ -503,6 +503,7 @@ def imported(tmp_path: Path) -> Path:
     return made.root
 
 
+@pytest.mark.slow
 def test_every_file_of_imported_maps_is_checked(imported: Path) -> None:
     """One bit at many random places: that file is named, and no other."""
     random = Random(4)

@@ -553,6 +553,7 @@ def test_progress_is_shown_on_request(server: Server, capsys: pytest.CaptureFixt
     assert "60/60" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_statistics_card_report_and_figures(server: Server, tmp_path: Path) -> None:
     """Of a URL they are those of the folder; of two they are of the maps of both."""
     assert card(server.url) == card(server.folder)

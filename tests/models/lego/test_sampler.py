@@ -578,6 +578,7 @@ def test_other_weights_are_refused(tmp_path: Path) -> None:
         load(file)
 
 
+@pytest.mark.slow
 def test_learns_from_map_start_goal_path(tmp_path: Path) -> None:
     """The default fields of a data module are enough: after the training more samples lie on the
     paths of other maps.
@@ -781,6 +782,7 @@ def main(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[str], Mai
     return main_of
 
 
+@pytest.mark.slow
 def test_evaluate_script(main: Callable[[str], Main], tmp_path: Path) -> None:
     """It writes the table as JSON and as CSV, with equal rows, and the figure."""
     small_model(Heatmap).save(tmp_path / "lego_heatmap.pt")
