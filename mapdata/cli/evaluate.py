@@ -6,6 +6,7 @@ import math
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -61,7 +62,7 @@ def evaluate_command(
     """
     from mapdata.evaluation import classical
     from mapdata.generators import PRESETS
-    from mapdata.problems import Random
+    from mapdata.problems.problem_set import DEFAULT_PROBLEMS
 
     for file in (json, figure):
         if file is not None:
@@ -86,7 +87,7 @@ def evaluate_command(
         raise ValueError(f"--split: the maps of the preset {preset} are new, leave it out")
     options: dict[str, Any] = {}
     if per_map != 1:
-        options["problems"] = Random(distance=(10, None), per_map=per_map)
+        options["problems"] = replace(DEFAULT_PROBLEMS, per_map=per_map)
     if split is not None:
         options["split"] = split
     if radius:

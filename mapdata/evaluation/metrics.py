@@ -186,29 +186,28 @@ def evaluate(
     with bar(progress, total, unit=" problems") as advance:
         runs = []
         for planner in planners:
-            run, first_fault = _run(planner, problems, advance)
-            runs.append(run)
-            if first_fault and np.isnan(run.costs).all():
-                warnings.warn(_no_path_warning(planner.name, first_fault), stacklevel=2)
-            if run.other_costs_batched:
-                warnings.warn(
-                    f"{planner.name}: {run.other_costs_batched} of {len(problems)} paths of "
-                    "plan_batch cost something else than those of plan, from which all columns but "
-                    "ms_batched are",
-                    stacklevel=2,
-                )
+            runs.append(_run(planner, problems, advance))
+            _warn_of_paths(planner.name, runs[-1])
     reference_expansions: Floats | Ints = problems.optimal.iterations
     if baseline is not None:
         reference_expansions = runs[names.index(baseline)].expansions
     return _table(names, runs, problems, reference_expansions, bootstrap, seed)
 
 
-def _no_path_warning(name: str, first_fault: str) -> str:
-    """Return the warning of paths none of which solves its problem."""
-    return (
-        f"{name}: none of its paths solves its problem; the first is {first_fault}. A path is "
-        "cells (row, col) from start to goal"
-    )
+def _warn_of_paths(name: str, run: _Run) -> None:
+    """Warn the caller of a public function of paths that make a row say little."""
+    if run.first_fault and np.isnan(run.costs).all():
+        warnings.warn(
+            f"{name}: none of its paths solves its problem; the first is {run.first_fault}. A path "
+            "is cells (row, col) from start to goal",
+            stacklevel=3,
+        )
+    if run.other_costs_batched:
+        warnings.warn(
+            f"{name}: {run.other_costs_batched} of {len(run.costs)} paths of plan_batch cost "
+            "something else than those of plan, from which all columns but ms_batched are",
+            stacklevel=3,
+        )
 
 
 def _check_planner(planner: Planner, movement: Movement) -> None:
@@ -286,10 +285,9 @@ def score_paths(
     for k, path in enumerate(paths):
         costs[k], fault = _cost(path, problems, k)
         first_fault = first_fault or fault
-    if first_fault and np.isnan(costs).all():
-        warnings.warn(_no_path_warning(name, first_fault), stacklevel=2)
     unknown = np.full(len(problems), np.nan)
-    run = _Run(costs, expansions, unknown, unknown, unknown, np.empty(0), 0)
+    run = _Run(costs, first_fault, expansions, unknown, unknown, unknown, np.empty(0), 0)
+    _warn_of_paths(name, run)
     return _table([name], [run], problems, problems.optimal.iterations, bootstrap, seed)
 
 
@@ -350,6 +348,8 @@ class _Run(NamedTuple):
 
     Attributes:
         costs: (N,) costs L of the paths, NaN for failures.
+        first_fault: why the first path that does not solve its problem does not; empty if there is
+            none.
         expansions: (N,) numbers of expansions E.
         prepared: (N,) numbers of prepared cells.
         looks: (N,) numbers of visited cells.
@@ -360,6 +360,7 @@ class _Run(NamedTuple):
     """
 
     costs: Floats
+    first_fault: str
     expansions: Floats
     prepared: Floats
     looks: Floats
@@ -421,14 +422,10 @@ def _terrain_argument(planner: Planner, terrain: Bytes | None) -> dict[str, Any]
     return {"terrain": terrain}
 
 
-def _run(planner: Planner, problems: ProblemSet, advance: Advance) -> tuple[_Run, str]:
+def _run(planner: Planner, problems: ProblemSet, advance: Advance) -> _Run:
     """Solve all problems with a planner, check its paths and measure its times.
 
     ``advance`` is called with numbers of solved problems.
-
-    Returns:
-        The measurements, and why the first path that solves no problem does not; an empty text if
-        there is none.
     """
     costs = np.empty(len(problems))
     expansions = np.empty(len(problems))
@@ -455,11 +452,14 @@ def _run(planner: Planner, problems: ProblemSet, advance: Advance) -> tuple[_Run
         if repetition > 0:
             advance(1)
     ms_batched = np.empty(0)
-    other_costs = 0
+    other_costs_batched = 0
     if isinstance(planner, BatchPlanner):
         ms_batched, batched_costs = _run_batched(planner, problems, advance)
-        other_costs = int((~np.isclose(batched_costs, costs, equal_nan=True)).sum())
-    return _Run(costs, expansions, prepared, looks, ms, ms_batched, other_costs), first_fault
+        is_other_cost = ~np.isclose(batched_costs, costs, equal_nan=True)
+        other_costs_batched = int(is_other_cost.sum())
+    return _Run(
+        costs, first_fault, expansions, prepared, looks, ms, ms_batched, other_costs_batched
+    )
 
 
 def _check_plan(planner: Planner, plan: object) -> None:

@@ -67,6 +67,9 @@ _PROBLEMS_AT_ONCE = 16
 _MAPS_PER_HARD_PROBLEM = 1000
 """Maps that are tried for each hard problem. Where hard problems are rarer, nobody would wait."""
 
+DEFAULT_PROBLEMS = Random(distance=(10, None))
+"""What `ProblemSet.sample` and `ProblemSet.read` draw: start and goal are not close together."""
+
 
 @dataclass(frozen=True, eq=False, init=False)
 class ProblemSet:
@@ -437,7 +440,7 @@ class ProblemSet:
         maps: int | None = None,
         *,
         movement: Movement | None = None,
-        problems: SourceLike = Random(distance=(10, None)),
+        problems: SourceLike = DEFAULT_PROBLEMS,
         until_hard: int | None = None,
         radius: float = 0.0,
         progress: bool = False,
@@ -471,7 +474,8 @@ class ProblemSet:
                 ``until_hard`` as many as it takes, up to 1,000 for each hard problem.
             movement: the rule of moves; the generator's by default.
             problems: a `Random`, with its conditions on distance, hardness and length, and on the
-                goal; or a `Route` or `Pairs`, or its name. As for `MapDataset`.
+                goal; or a `Route` or `Pairs`, or its name. As for `MapDataset`, but by default
+                ``Random(distance=(10, None))``.
             until_hard: stop at the map that brings the number of hard problems to this.
             radius: of the robot, in metres: maps are those of `mapdata.inflate` (with terrain
                 `mapdata.inflate_terrain`) for ``radius / resolution`` cells.
@@ -531,7 +535,7 @@ class ProblemSet:
         movement: Movement | None = None,
         split: str = "test",
         seed: int | None = None,
-        problems: SourceLike = Random(distance=(10, None)),
+        problems: SourceLike = DEFAULT_PROBLEMS,
         until_hard: int | None = None,
         radius: float = 0.0,
         follow_links: bool = False,

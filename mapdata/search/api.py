@@ -862,9 +862,12 @@ def _problem_complaint(grid: Bytes, start: Cell, goal: Cell) -> str:
 def _nearest_free_cell(grid: Bytes, cell: Cell) -> str:
     """Return the end of an error message: which free cell is nearest to an occupied one.
 
-    The user of a map that `inflate` has changed cannot see which cells it has occupied.
+    The user of a map that `inflate` has changed cannot see which cells it has occupied. The text is
+    empty for a cell outside of the map.
     """
     row, column = cell
+    if not (0 <= row < grid.shape[0] and 0 <= column < grid.shape[1]):
+        return ""
     reach = 8
     while True:  # Most often it is close: a square around the cell is searched, then a larger one.
         top, left = max(row - reach, 0), max(column - reach, 0)

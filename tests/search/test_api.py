@@ -918,3 +918,10 @@ def test_a_search_that_was_forgotten_is_named() -> None:
     grids = np.zeros((1, 3, 3), np.uint8)
     with pytest.raises(TypeError, match='search: got ndarray, expected "bfs" or "astar"'):
         search_batch(grids, [(0, 0)], [(2, 2)], Movement())  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("cell", [(-1, 0), (0, 5), (10**18, -(10**18))])
+def test_an_end_outside_of_the_map_has_no_nearest_cell(cell: Cell) -> None:
+    """Only the map's size helps there."""
+    with pytest.raises(ValueError, match=r"start: .* is outside the map of 5 x 5 cells$"):
+        search_batch("astar", np.zeros((1, 5, 5), np.uint8), [cell], [(0, 0)])
