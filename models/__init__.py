@@ -29,7 +29,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if __name__ != "mapdata.models":
-    # With the checkout on the path the folder could be imported once more as "models". Its classes
+    # A program that runs in the checkout could import the folder once more as "models". Its classes
     # would then exist twice, and the ones would not be instances of the others.
     raise ImportError(f"{__name__}: this folder is imported as mapdata.models, and as nothing else")
 

@@ -50,8 +50,8 @@ def models() -> set[str]:
 
 
 @pytest.fixture(scope="module")
-def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of an sdist and of the wheel built from it, in a copy of the sources."""
+def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a copy of the sources, in which a build may leave its files."""
     if find_spec("build") is None or find_spec("setuptools") is None:
         pytest.skip('needs pip install -e ".[test]"')
     copy = tmp_path_factory.mktemp("release") / "mapdata"
@@ -66,13 +66,66 @@ def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
             shutil.copytree(path, copy / path.name, ignore=ignore, symlinks=True)
         elif path.is_file():
             shutil.copy(path, copy)
+    return copy
+
+
+@pytest.fixture(scope="module")
+def dist(sources: Path) -> Path:
+    """Return the folder of an sdist and of the wheel built from it."""
     command = [sys.executable, "-m", "build", "--no-isolation", "--skip-dependency-check"]
-    command += ["--outdir", str(copy / "out"), str(copy)]
+    command += ["--outdir", str(sources / "out"), str(sources)]
     process = subprocess.run(command, capture_output=True, text=True, check=False)
     if "BackendUnavailable" in process.stderr:
         pytest.skip("setuptools cannot build here")
     assert process.returncode == 0, process.stdout + process.stderr
-    return copy / "out"
+    return sources / "out"
+
+
+@pytest.fixture(scope="module")
+def editable(sources: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with what ``pip install -e`` of the sources puts into an environment."""
+    site = tmp_path_factory.mktemp("site")
+    build = "import sys; from setuptools import build_meta; build_meta.build_editable(sys.argv[1])"
+    command = [sys.executable, "-c", build, str(site)]
+    subprocess.run(command, cwd=sources, capture_output=True, check=True)
+    (wheel,) = site.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(site)
+    return site
+
+
+IMPORTS = """
+import site
+import sys
+from importlib.util import find_spec
+site.addsitedir(sys.argv[1])
+import mapdata.models
+names = sys.argv[2:]
+found = [name for name in names if find_spec(name)]
+print("found", *found)
+for name in found:
+    print(__import__(f"{name}.mine", fromlist=["NAME"]).NAME)
+"""
+"""Says which of the names can be imported beside mapdata.
+
+It runs with -S, so the environment of the tests has no part in it.
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("folders", [(), ("models", "benchmarks", "docs", "scripts", "tests")])
+def test_an_editable_install_adds_the_name_mapdata_alone(
+    editable: Path, folders: tuple[str, ...], tmp_path: Path
+) -> None:
+    """Folders of another project that have the name of one of ours are imported as before."""
+    for name in folders:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mine.py").write_text(f"NAME = '{name} of another project'")
+    ours = ["models", "benchmarks", "docs", "scripts", "tests", "helpers", "setup"]
+    command = [sys.executable, "-E", "-S", "-c", IMPORTS, str(editable), *ours]
+    process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    expected = [" ".join(["found", *folders]), *(f"{name} of another project" for name in folders)]
+    assert process.stdout.splitlines() == expected
 
 
 @pytest.mark.slow
