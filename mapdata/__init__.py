@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from mapdata.search import lines_are_free as lines_are_free
     from mapdata.search import pull_taut as pull_taut
     from mapdata.search import search_batch as search_batch
+    from mapdata.search import search_order as search_order
     from mapdata.search import terrain_from_costs as terrain_from_costs
     from mapdata.search import to_metres as to_metres
     from mapdata.shards import DatasetNotFoundError as DatasetNotFoundError
@@ -104,6 +105,7 @@ _FACES = {
         "lines_are_free",
         "pull_taut",
         "search_batch",
+        "search_order",
         "terrain_from_costs",
         "to_metres",
     ),

@@ -332,7 +332,7 @@ def show_command(
     index: int | None = None,
     output: str | None = None,
     paper_colours: bool = False,
-    figure: Literal["map", "gallery", "path", "matrix", "distributions"] = "map",
+    figure: Literal["map", "gallery", "path", "matrix", "search", "distributions"] = "map",
     follow_links: bool = False,
 ) -> None:
     """Draw one map with both routes and its numbered seed points, or another figure.
@@ -340,18 +340,21 @@ def show_command(
     Examples:
       mapdata show data/maps --index 7 -o map7.png
       mapdata show data/maps --figure gallery -o gallery.png
+      mapdata show data/maps --figure search -o search.gif
 
     Args:
         root: folder or URL of a dataset; maps of several datasets are numbered one after another
         index: number of the map (default: 0)
         output: picture to write; an existing file is replaced (default: map.png; if it exists,
-            map-2.png, and so on)
+            map-2.png, and so on). A .gif of the figure "search" is an animation
         paper_colours: draw free cells black and occupied cells white, as in the paper
         figure: figure to draw
         follow_links: read files that are links out of their folder; only for folders of your own
     """
-    from mapdata.plotting.figures import SINGLE_MAP_FIGURES, WITH_GRID, plot_figure
+    from mapdata.plotting.figures import SINGLE_MAP_FIGURES, WITH_PAPER_COLOURS, plot_figure
     from mapdata.plotting.plot import write_figure
+    from mapdata.plotting.search_figures import write_search_animation
+    from mapdata.shards import Root
 
     if output is None:
         output = unused_name("map.png")
@@ -363,10 +366,16 @@ def show_command(
         raise ValueError(
             f"--index: does nothing with --figure {figure}, which shows the whole dataset"
         )
-    if paper_colours and figure not in WITH_GRID:
+    if paper_colours and figure not in WITH_PAPER_COLOURS:
+        choices = ", ".join(WITH_PAPER_COLOURS)
         raise ValueError(
-            f"--paper-colours: does nothing with --figure {figure}, which shows no map"
+            f"--paper-colours: does nothing with --figure {figure}, expected one of {choices}"
         )
+    if figure == "search" and path.suffix.lower() == ".gif":
+        labels, i = Root.open(root, follow_links=follow_links).locate(index or 0)
+        write_search_animation(labels, i, path)
+        print(f"wrote {output}")
+        return
     picture = plot_figure(
         root,
         figure,

@@ -16,6 +16,7 @@ from mapdata.plotting.plot import (
     write_figure,
 )
 from mapdata.plotting.plot_models import plot_prediction, plot_roadmap, plot_sample
+from mapdata.plotting.search_figures import plot_search
 
 __all__ = [
     "COLOURS",
@@ -34,6 +35,7 @@ __all__ = [
     "plot_prediction",
     "plot_roadmap",
     "plot_sample",
+    "plot_search",
     "report",
     "write_figure",
 ]

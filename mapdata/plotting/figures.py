@@ -21,6 +21,7 @@ from mapdata.plotting.plot import (
     plot_matrix,
     plot_path,
 )
+from mapdata.plotting.search_figures import plot_both_searches
 from mapdata.search.api import SEARCHES
 from mapdata.shards.locations import Locations
 from mapdata.shards.root import Root
@@ -161,7 +162,7 @@ def plot_figure(
 
     Args:
         root: folder or URL of the dataset, or several.
-        figure: "map", "gallery", "path", "matrix" or "distributions".
+        figure: "map", "gallery", "path", "matrix", "search" or "distributions".
         index: number of the map, for figures of a single map.
         paper_colours: free black, occupied white, in figures that show a grid.
         follow_links: read files that are links out of their folder.
@@ -185,6 +186,8 @@ def plot_figure(
         axes = new_axes(1, 2, (11, 8))
         for search, ax in zip(SEARCHES, axes, strict=True):
             plot_path(labels, i, search, ax, paper_colours=paper_colours)
+    elif figure == "search":
+        axes = plot_both_searches(labels, i)
     else:
         searches = ("astar",) if matrices_are_equal(labels, i) else SEARCHES
         axes = new_axes(1, len(searches), (6 * len(searches), 5.8))
@@ -193,14 +196,14 @@ def plot_figure(
     return parent_figure(axes[0])
 
 
-FIGURES = ("map", "gallery", "path", "matrix", "distributions")
+FIGURES = ("map", "gallery", "path", "matrix", "search", "distributions")
 """The choices of ``mapdata show --figure``."""
 
-SINGLE_MAP_FIGURES = ("map", "path", "matrix")
+SINGLE_MAP_FIGURES = ("map", "path", "matrix", "search")
 """The figures of a single map, which ``--index`` selects."""
 
-WITH_GRID = ("map", "path", "gallery")
-"""The figures that show a grid, whose colours ``--paper-colours`` swaps."""
+WITH_PAPER_COLOURS = ("map", "path", "gallery")
+"""The figures whose colours ``--paper-colours`` swaps."""
 
 
 def parent_figure(axes: Axes) -> Figure:

@@ -16,6 +16,7 @@ from mapdata.search.footprint import clearance, inflate, inflate_terrain
 from mapdata.search.labels import Labels, RouteLabels, label
 from mapdata.search.lattice import hardness, move_rule
 from mapdata.search.map_stack import MapStack
+from mapdata.search.order import SearchOrder, search_order
 from mapdata.search.taut import lines_are_free, path_waypoints, pull_taut, to_metres
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "Labels",
     "MapStack",
     "RouteLabels",
+    "SearchOrder",
     "SearchResult",
     "as_terrain",
     "astar",
@@ -40,6 +42,7 @@ __all__ = [
     "path_waypoints",
     "pull_taut",
     "search_batch",
+    "search_order",
     "terrain_from_costs",
     "to_metres",
 ]

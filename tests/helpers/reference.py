@@ -259,14 +259,23 @@ def trace(parents: dict[Cell, Cell], goal: Cell) -> list[Cell]:
     return path[::-1]
 
 
-def reference_bfs(grid: Grid, start: Cell, goal: Cell, movement: Movement) -> ReferenceResult:
-    """First in, first out; the cost counts moves."""
+def reference_bfs(
+    grid: Grid,
+    start: Cell,
+    goal: Cell,
+    movement: Movement,
+    *,
+    expanded: list[Cell] | None = None,
+) -> ReferenceResult:
+    """First in, first out; the cost counts moves. Cells are appended to ``expanded``."""
+    expanded = [] if expanded is None else expanded
     frontier = deque([start])
     parents = {start: start}
     iterations = 0
     while frontier:
         cell = frontier.popleft()
         iterations += 1
+        expanded.append(cell)
         if cell == goal:
             path = trace(parents, goal)
             return ReferenceResult(path, float(len(path) - 1), iterations)
@@ -278,12 +287,20 @@ def reference_bfs(grid: Grid, start: Cell, goal: Cell, movement: Movement) -> Re
 
 
 def reference_astar(
-    grid: Grid, start: Cell, goal: Cell, movement: Movement, terrain: Grid | None = None
+    grid: Grid,
+    start: Cell,
+    goal: Cell,
+    movement: Movement,
+    terrain: Grid | None = None,
+    *,
+    expanded: list[Cell] | None = None,
 ) -> ReferenceResult:
     """Pop the least f, of equal ones the latest; a parent changes only for a smaller g.
 
     On terrain the heuristic is that of a map whose cells all have the smallest cost of a free cell.
+    Cells are appended to ``expanded``.
     """
+    expanded = [] if expanded is None else expanded
     factor = 1
     if terrain is not None:
         factor = 2 * min(value for row in terrain for value in row if value > 0)
@@ -298,6 +315,7 @@ def reference_astar(
             # A stale entry: the cell was pushed again with a smaller g, and does not count twice.
             continue
         taken.add(cell)
+        expanded.append(cell)
         if cell == goal:
             path = trace(parents, goal)
             return ReferenceResult(path, as_float(costs[goal], movement, terrain), len(taken))
