@@ -18,6 +18,7 @@ from mapdata.checks import check_count, check_flag
 from mapdata.datasets.field_kernels import (
     GoalFields,
     fill_goal_fields,
+    fill_goal_fields_by_jumps,
     fill_room_matrices,
     mask_paths,
     pad_paths,
@@ -248,9 +249,14 @@ class Batch:
         goal_fields = GoalFields(*arrays)
         rule = move_rule(self.movement)
         lattice, scratch = search_memory(self.grids.shape[1:], rule)
-        row, high_cost = fill_goal_fields(
-            *self.maps.ground, self.starts, self.goals, lattice, scratch, goal_fields
-        )
+        if self.movement.connectivity == 8 and not self.has_terrain:
+            row, high_cost = fill_goal_fields_by_jumps(
+                self.grids, self.starts, self.goals, lattice, scratch, goal_fields
+            )
+        else:
+            row, high_cost = fill_goal_fields(
+                *self.maps.ground, self.starts, self.goals, lattice, scratch, goal_fields
+            )
         if high_cost:  # Otherwise the numbers of the maps are not needed, which may be dear.
             check_cost(self.map_numbers, row, high_cost)
         return goal_fields

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 from mapdata.checks import (
@@ -129,12 +130,12 @@ class Random:
             if band is not None:
                 object.__setattr__(self, name, check_band(name, band))
 
-    @property
+    @cached_property
     def bands(self) -> Bands:
         """The limits of distance, hardness and length; 0 and inf where they are open."""
         return _limits(self.distance), _limits(self.hardness), _limits(self.length)
 
-    @property
+    @cached_property
     def conditions(self) -> tuple[float, Bands | None]:
         """The minimum distance, 1 or more, and the bands; None if there is no other condition."""
         min_distance, max_distance = self.bands[0]
