@@ -19,6 +19,7 @@ from mapdata.search.bitboard import MAX_SIDE as MAX_BITBOARD_SIDE
 from mapdata.search.bitboard import bfs_labels_by_bits
 from mapdata.search.footprint import occupies_cells
 from mapdata.search.ground import EXACT, PaddedTerrain, as_ground, load_map, sums_of_cost
+from mapdata.search.jump_points import find_free_neighbours, jump_costs
 from mapdata.search.kernels import (
     Scratch,
     best_first_buckets,
@@ -39,7 +40,8 @@ from mapdata.search.lattice import (
     load,
     move_rule,
 )
-from mapdata.search.solving import search_loaded, shortest_costs_on
+from mapdata.search.solving import search_loaded
+from mapdata.search.terrain import shortest_terrain_costs
 
 _MIN_CELLS_FOR_FLOOD = 3
 """Number of goals from which on one search of the whole map takes less time than an A* to each."""
@@ -246,7 +248,8 @@ def label(maps: Maps, advance: Callable[[int], object] | None = None) -> Labels:
 
     - On 4-connected maps they are those of BFS.
     - With diagonals at sqrt(2), all shortest paths of a pair have the same numbers of straight and
-      of diagonal moves, so one search from a room gives its costs if there are three or more.
+      of diagonal moves, so one search from a room gives its costs if there are three or more: by
+      jumps (`jump_costs`).
     - Otherwise A* searches each pair.
     - On terrain, one search from a room gives its costs. BFS counts moves there, too.
 
@@ -543,8 +546,11 @@ def _astar_labels(
         ``moves`` has no room for the next one.
     """
     came_from = scratch.came_from
+    neighbours = np.zeros(lattice.cells, np.uint8)
     for m in range(first_map, len(maps)):
         _, ground = load_map(maps[m], cell_costs, lattice, loaded)
+        if diagonals is not None:
+            find_free_neighbours(loaded, lattice, neighbours)
         for q in range(rooms[m]):
             if loaded[cells[m, q]] == WALL:
                 return m, used, q, EXACT
@@ -576,7 +582,13 @@ def _astar_labels(
                 later_cells = cells[m, q + 2 : rooms[m]]
                 later_costs = pair_costs[pair + 1 :]
                 high_cost = _fill_costs(
-                    cells[m, q : q + 1], later_cells, ground, lattice, scratch, later_costs
+                    cells[m, q : q + 1],
+                    later_cells,
+                    ground,
+                    neighbours,
+                    lattice,
+                    scratch,
+                    later_costs,
                 )
                 if high_cost:
                     return m, used_before_map, -1, high_cost
@@ -589,6 +601,7 @@ def _fill_costs(
     source: Ints,
     cells: Ints,
     ground: PaddedTerrain | None,
+    neighbours: Bytes,
     lattice: Lattice,
     scratch: Scratch,
     costs: Ints,
@@ -599,6 +612,7 @@ def _fill_costs(
         source: (1,) padded cell.
         cells: (n,) padded cells.
         ground: of the map.
+        neighbours: (cells,) on grids those from `find_free_neighbours`.
         lattice: of the map, with diagonals unless it has terrain.
         scratch: with the map loaded in ``came_from``.
         costs: (n or more, 2), to be filled with straight and diagonal moves, on terrain with the
@@ -612,7 +626,10 @@ def _fill_costs(
     if ground is not None or (lattice.diagonal_cost != UNIT and len(cells) >= _MIN_CELLS_FOR_FLOOD):
         # Since sqrt(2) is irrational, only one pair of sums has the least cost. So any optimal
         # search finds that of A*.
-        high_cost = shortest_costs_on(source, ground, lattice, scratch)
+        if ground is None:
+            high_cost = jump_costs(source[0], INFINITY, neighbours, lattice, scratch)
+        else:
+            high_cost = shortest_terrain_costs(source, ground, lattice, scratch)
         if high_cost:
             return high_cost
         for k in range(len(cells)):

@@ -19,6 +19,7 @@ from mapdata import Labels, Maps, MapSpec, generate, label
 from mapdata.movement import Movement
 from mapdata.search import labels as labels_module
 from mapdata.search.ground import as_ground, load_map
+from mapdata.search.jump_points import find_free_neighbours
 from mapdata.search.kernels import search_memory
 from mapdata.search.labels import _fill_costs
 from mapdata.search.lattice import cell_at, move_rule
@@ -275,10 +276,12 @@ def test_costs_without_a_path_take_the_place_of_what_memory_held(has_terrain: bo
     map_, cell_costs = as_ground(grid, 1 - grid if has_terrain else None)
     is_valid, ground = load_map(map_, cell_costs, lattice, scratch.came_from)
     assert is_valid
+    neighbours = np.zeros(lattice.cells, np.uint8)
+    find_free_neighbours(scratch.came_from, lattice, neighbours)
     ends = np.array([cell_at(2, column, lattice) for column in (2, 6, 7)])
     costs = np.full((3, 2), 7)
     source = np.array([cell_at(2, 0, lattice)])
-    assert _fill_costs(source, ends, ground, lattice, scratch, costs) == 0
+    assert _fill_costs(source, ends, ground, neighbours, lattice, scratch, costs) == 0
     assert costs.tolist() == [[4 if has_terrain else 2, 0], [-1, 0], [-1, 0]]
 
 
