@@ -463,10 +463,9 @@ def answers(family: str) -> tuple[tuple[Any, Plan], tuple[Any, Plan]]:
 
     Where all of 200 are, the one with most expansions is the second.
     """
-    from mapdata.models.learned_planners import GuidedSearch
-    from mapdata.models.path_predictor import PathPredictor
+    from mapdata.models import PathPredictor, planners
 
-    search = GuidedSearch("search", PathPredictor.pretrained())
+    _, search = planners(PathPredictor.pretrained())
     dataset = OnlineMapDataset(
         MapGenerator.preset(family),
         77,

@@ -38,9 +38,17 @@ from planner_results import Results, this_run
 from mapdata import MapDataModule, MapGenerator, MapSpec, Maze, Movement, ProblemSet, evaluate
 from mapdata.arrays import Bytes
 from mapdata.cli import load_problems, own_planner
-from mapdata.evaluation import TIMES, BatchPlanner, LandmarkAstar, Plan, Planner, classical
+from mapdata.evaluation import (
+    TIMES,
+    BatchPlanner,
+    GuidedSearch,
+    LandmarkAstar,
+    Plan,
+    Planner,
+    classical,
+)
 from mapdata.limits import Cell
-from mapdata.models import GuidedSearch, NeuralAstar, PathPredictor, fast_precision
+from mapdata.models import NeuralAstar, PathPredictor, fast_precision
 from mapdata.models.evaluate import SHIPPED, load_weights
 from mapdata.models.mixed_batches import MixedBatches
 from mapdata.models.path_predictor import TRAINING_FIELDS
@@ -264,7 +272,7 @@ def measure(results: Results, name: str, planners: Sequence[Planner], command: s
 def all_planners(movement: Movement) -> list[Planner]:
     """Return the classical planners and the search with the pretrained weights for a movement."""
     model = PathPredictor.pretrained(SHIPPED[movement])
-    return [*classical(movement), GuidedSearch(SEARCH, model)]
+    return [*classical(movement), GuidedSearch(SEARCH, movement, model.predict)]
 
 
 def measure_file(
@@ -280,7 +288,10 @@ def measure_file(
     rows: list[Planner] = list(classical(problems.movement))
     for path in weights:
         model = load_weights(path)
-        rows.append(model if isinstance(model, NeuralAstar) else GuidedSearch(SEARCH, model))
+        if isinstance(model, NeuralAstar):
+            rows.append(model)
+        else:
+            rows.append(GuidedSearch(SEARCH, model.movement, model.predict))
     results.add_set(name, problems, description=problems.description.replace(file, name))
     table = measured(rows, problems, "all", baseline)
     results.add_rows(name, table, this_run(command), baseline=baseline)
@@ -336,7 +347,7 @@ def transfer(results: Results, path: Path, steps: int, command: str) -> None:
     """Train networks on a family each, on all, and on all but one, and measure them on all sets."""
     for training, names in trainings().items():
         model = trained_on(names, steps)
-        search = GuidedSearch(trained_name(training), model)
+        search = GuidedSearch(trained_name(training), model.movement, model.predict)
         for name in TRANSFER_SETS.values():
             measure(results, name, [search], command)
         results.write(path)

@@ -33,8 +33,8 @@ from mapdata import (
     Terrain,
     evaluate,
 )
-from mapdata.evaluation import TIMES, Planner, classical
-from mapdata.models import GuidedSearch, MixedBatches, PathPredictor, fast_precision
+from mapdata.evaluation import TIMES, GuidedSearch, Planner, classical
+from mapdata.models import MixedBatches, PathPredictor, fast_precision
 from mapdata.models.path_predictor import TRAINING_FIELDS
 
 MOVEMENT = Movement(8)
@@ -123,7 +123,14 @@ def train() -> PathPredictor:
 def planners_of(model: PathPredictor) -> list[Planner]:
     """Return the planners of the table."""
     learned = [
-        GuidedSearch(f"path_predictor (search, trust {trust})", model, trust) for trust in TRUSTS
+        GuidedSearch(
+            f"path_predictor (search, trust {trust})",
+            MOVEMENT,
+            model.predict,
+            trust,
+            takes_terrain=True,
+        )
+        for trust in TRUSTS
     ]
     return [*classical(MOVEMENT, terrain=True), *learned]
 

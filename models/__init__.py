@@ -4,7 +4,7 @@
 - ``neural_astar.py``: Neural A* in one file.
 - ``cost_predictor.py``: a CNN that reads the costs of terrain from images, taught by paths.
 - ``costmap.py``: the costs of a robot's map, learnt from a few drives.
-- ``learned_planners.py``: planners that search with the predictions of a network.
+- ``learned_planners.py``: the planners of a model, as rows of a table, and their validation.
 - ``lego/``: a sampler that learns where a roadmap needs its vertices.
 
 They share six files:

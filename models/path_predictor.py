@@ -43,7 +43,7 @@ all commands).
 
 This file reads from top to bottom: targets, input of the network, network, loss, training,
 prediction. The layers are in layers.py, the moves on a map in geometry.py, the optimizer in
-optimizer.py, the training step and the files of weights in model.py; learned_planners.py searches
+optimizer.py, the training step and the files of weights in model.py; learned_planners.py plans
 with predictions.
 """
 
@@ -60,13 +60,13 @@ from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
 from mapdata import Movement, Sample
-from mapdata.arrays import Bytes, Float32s, Ints
+from mapdata.arrays import Array, Bytes, Float32s, Ints
 from mapdata.checks import check_count, check_finite, check_flag
 from mapdata.search import STEPS, path_waypoints
 
 from .geometry import heuristic, legal_moves, min_and_mean_costs, offsets
 from .layers import Trunk, padded
-from .learned_planners import GuidedSearch, LearnedPlanner
+from .learned_planners import LearnedPlanner, planners
 from .model import Tensors
 
 TRAINING_FIELDS = ("map", "start", "goal", "optimal_moves", "heuristic_ratio")
@@ -369,7 +369,8 @@ class PathPredictor(LearnedPlanner):
         """Log the losses, and plan; `on_validation_epoch_end` logs how well that went."""
         losses = {f"val_{name}": loss for name, loss in self.losses(batch).items()}
         self.log_dict(losses, batch_size=len(batch.map))
-        self.score(GuidedSearch("search", self), batch)
+        _, search = planners(self)
+        self.score(search, batch)
 
     # --- prediction -----------------------------------------------------------------------------
 
@@ -439,8 +440,10 @@ class PathPredictor(LearnedPlanner):
             ValueError: a start or goal outside the map or on an occupied cell; terrain that does
                 not fit the map.
         """
-        walk = GuidedSearch("walk", self, trust=math.inf)
-        return walk.plan(map, start, goal, terrain).path.astype(np.int64)
+        walk, _ = planners(self)
+        grid = _without_channel(map)
+        costs = None if terrain is None else _without_channel(terrain)
+        return walk.plan(grid, start, goal, costs).path.astype(np.int64)
 
     def predict_waypoints(
         self, map: ArrayLike, start: ArrayLike, goal: ArrayLike, count: int = 32
@@ -469,3 +472,9 @@ class PathPredictor(LearnedPlanner):
         grid = grid.reshape(grid.shape[-2:])
         cuts_corners = self.movement.corner_cutting
         return path_waypoints(grid, path, count, corner_cutting=cuts_corners)
+
+
+def _without_channel(plane: ArrayLike) -> Array:
+    """Return a map or terrain of (H, W) or (1, H, W) as (H, W)."""
+    array = np.asarray(plane)
+    return array[0] if array.ndim == 3 and len(array) == 1 else array

@@ -63,7 +63,7 @@ def printed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
         "plan": Plan(paths.cells, 99),
         "foreign": foreign,
         "collection": Collection([foreign] * 1000),
-        "planners": classical(),
+        "planners": classical()[:10],
         "maze": Maze(),
     }
     return {name: repr(instance) for name, instance in objects.items()}

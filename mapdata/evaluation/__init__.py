@@ -1,10 +1,12 @@
 """Comparing planners: one table for anything that plans, and the classical rows."""
 
 from mapdata.describe.intervals import confidence_intervals
+from mapdata.evaluation.guided import CostPlanner, GuidedSearch, prior
 from mapdata.evaluation.metrics import (
     METRICS,
     TERRAIN_METRICS,
     TIMES,
+    Batched,
     BatchPlanner,
     Plan,
     Planner,
@@ -15,7 +17,6 @@ from mapdata.evaluation.metrics import (
     with_interval,
 )
 from mapdata.evaluation.planners import (
-    Batched,
     BestFirst,
     GoalFieldAstar,
     JumpPointSearch,
@@ -32,7 +33,9 @@ __all__ = [
     "BatchPlanner",
     "Batched",
     "BestFirst",
+    "CostPlanner",
     "GoalFieldAstar",
+    "GuidedSearch",
     "JumpPointSearch",
     "LandmarkAstar",
     "Limit",
@@ -43,6 +46,7 @@ __all__ = [
     "confidence_intervals",
     "evaluate",
     "median_interval",
+    "prior",
     "score_paths",
     "to_text",
     "with_interval",

@@ -89,6 +89,27 @@ class BatchPlanner(Planner, Protocol):
         """Return a plan for each of the B problems: grids (B, H, W), starts and goals (B, 2)."""
 
 
+class Batched:
+    """Base class of planners with `plan_batch`: it solves a single problem as a batch of one."""
+
+    def plan(
+        self: BatchPlanner,
+        grid: npt.ArrayLike,
+        start: npt.ArrayLike,
+        goal: npt.ArrayLike,
+        terrain: npt.ArrayLike | None = None,
+    ) -> Plan:
+        """Return the path from ``start`` to ``goal`` on ``grid``, (H, W).
+
+        ``terrain``, (H, W), is for a `plan_batch` that takes it: the cost of each cell.
+        """
+        batch = np.asarray(grid)[None], np.array([start]), np.array([goal])
+        terrain_argument: dict[str, Any] = {}
+        if terrain is not None:
+            terrain_argument["terrain"] = np.asarray(terrain)[None]
+        return self.plan_batch(*batch, **terrain_argument)[0]
+
+
 def evaluate(
     planners: Sequence[Planner],
     problems: ProblemSet,

@@ -5,14 +5,14 @@ from __future__ import annotations
 import heapq
 import math
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.checks import check_count
-from mapdata.evaluation.metrics import BatchPlanner, Plan, Planner
+from mapdata.evaluation.guided import GuidedSearch, prior
+from mapdata.evaluation.metrics import Batched, Plan, Planner
 from mapdata.limits import Cell
 from mapdata.movement import NEURAL_ASTAR, STEPS, Movement, check_movement
 from mapdata.search.api import (
@@ -34,6 +34,9 @@ MAX_ESTIMATE = 2**20
 def classical(movement: Movement = Movement(8), *, terrain: bool = False) -> list[Planner]:
     """Return the planners that every comparison should show, for one movement.
 
+    "guided search, no network" is `GuidedSearch` by `prior`. A network that guides this search is
+    worth what it adds to this row, in optimal paths and in expansions.
+
     "limit" expands only the cells of an optimal path. No planner that expands all cells of its path
     can do with fewer. Jump point search does, since it passes over cells; it is left out under
     4-connectivity. If the movement is that of Neural A*, the A* of its repository is added.
@@ -46,8 +49,8 @@ def classical(movement: Movement = Movement(8), *, terrain: bool = False) -> lis
 
     >>> [planner.name for planner in classical()]  # doctest: +NORMALIZE_WHITESPACE
     ['BFS', 'Dijkstra', 'A*', 'weighted A* (1.1)', 'weighted A* (1.25)', 'weighted A* (1.5)',
-     'weighted A* (2)', 'weighted A* (3)', 'greedy best-first', 'jump point search',
-     'A* with 8 landmarks', 'A* with the exact goal field', 'limit']
+     'weighted A* (2)', 'weighted A* (3)', 'greedy best-first', 'guided search, no network',
+     'jump point search', 'A* with 8 landmarks', 'A* with the exact goal field', 'limit']
     """
     check_movement(movement)
     planners: list[Planner] = [
@@ -56,6 +59,12 @@ def classical(movement: Movement = Movement(8), *, terrain: bool = False) -> lis
         Search("A*", movement, "astar"),
         *(BestFirst(f"weighted A* ({w})", movement, weight=w) for w in (1.1, 1.25, 1.5, 2, 3)),
         BestFirst("greedy best-first", movement, weight=1, uses_path_cost=False),
+        GuidedSearch(
+            "guided search, no network",
+            movement,
+            partial(prior, movement=movement),
+            takes_terrain=True,
+        ),
     ]
     if movement.connectivity == 8 and not terrain:
         planners.append(JumpPointSearch("jump point search", movement))
@@ -68,27 +77,6 @@ def classical(movement: Movement = Movement(8), *, terrain: bool = False) -> lis
     elif movement == NEURAL_ASTAR:
         planners.append(VanillaAstar())
     return planners
-
-
-class Batched:
-    """Base class of planners with `plan_batch`: it solves a single problem as a batch of one."""
-
-    def plan(
-        self: BatchPlanner,
-        grid: ArrayLike,
-        start: ArrayLike,
-        goal: ArrayLike,
-        terrain: ArrayLike | None = None,
-    ) -> Plan:
-        """Return the path from ``start`` to ``goal`` on ``grid``, (H, W).
-
-        ``terrain``, (H, W), is for a `plan_batch` that takes it: the cost of each cell.
-        """
-        batch = np.asarray(grid)[None], np.array([start]), np.array([goal])
-        terrain_argument: dict[str, Any] = {}
-        if terrain is not None:
-            terrain_argument["terrain"] = np.asarray(terrain)[None]
-        return self.plan_batch(*batch, **terrain_argument)[0]
 
 
 @dataclass(frozen=True)

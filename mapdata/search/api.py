@@ -378,6 +378,28 @@ def _as_problems(grids: ArrayLike, starts: ArrayLike, goals: ArrayLike) -> tuple
     return grid_stack, start_cells, goal_cells
 
 
+def as_checked_problems(
+    grids: ArrayLike, starts: ArrayLike, goals: ArrayLike
+) -> tuple[Bytes, Ints, Ints]:
+    """Return B problems as `_as_problems` does, for kernels that do not check them.
+
+    Raises:
+        ValueError: what `search_batch` refuses.
+    """
+    grid_stack, start_cells, goal_cells = _as_problems(grids, starts, goals)
+    if grid_stack.max(initial=0) > 1:
+        raise ValueError(values_complaint(grid_stack))
+    are_free = np.ones(len(start_cells), bool)
+    for cells in (start_cells, goal_cells):
+        is_inside = np.all((cells >= 0) & (cells < grid_stack.shape[1:]), axis=1)
+        row, column = np.where(is_inside[:, None], cells, 0).T
+        map_numbers = np.arange(len(cells)) % len(grid_stack)  # all are 0 on a shared map
+        are_free &= is_inside & (grid_stack[map_numbers, row, column] == 0)
+    if not are_free.all():
+        _check_all_done(int(are_free.argmin()), grid_stack, start_cells, goal_cells)
+    return grid_stack, start_cells, goal_cells
+
+
 def _solve(
     grids: Bytes,
     terrains: Bytes | None,

@@ -21,8 +21,8 @@ take the lattice alone.
 The legal moves, the heuristic and hardness are defined here. The corner rule is written six more
 times, and each copy states its reason: `flood`, `first_bad_cell` and `shortest_costs` in
 kernels.py; the diagonal scan in jump_points.py; on tensors, `legal_moves` in models/geometry.py;
-and models/learned_planners.py, whose search works on rows and columns so that it can be read
-without this module. Tests hold all seven together.
+and predicted_moves.py, whose search works on rows and columns so that it can be read without this
+module. Tests hold all seven together.
 """
 
 from __future__ import annotations

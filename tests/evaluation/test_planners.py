@@ -201,6 +201,7 @@ def test_classical_planners_solve_problems_alone_and_in_batches(movement: Moveme
         "weighted A* (2)",
         "weighted A* (3)",
         "greedy best-first",
+        "guided search, no network",
         *jump_points,
         "A* with 8 landmarks",
         "A* with the exact goal field",

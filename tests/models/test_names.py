@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from mapdata import models
+from mapdata.evaluation import GuidedSearch
 from mapdata.models import CVAE, CostPredictor, Heatmap, Model, NeuralAstar, PathPredictor, evaluate
 from mapdata.models.model import WEIGHTS
 
@@ -151,3 +152,16 @@ def test_the_command_says_what_it_can_run(
     assert exited.value.code == code
     printed = capsys.readouterr()
     assert text in printed.out + printed.err
+
+
+def test_the_old_name_of_the_guided_search_warns() -> None:
+    """It still makes the planner of a model, and names its replacement."""
+    model = PathPredictor(widths=(8, 8), passes=1, terrain=True)
+    with pytest.warns(
+        FutureWarning, match=r"use mapdata\.evaluation\.GuidedSearch\(name, model\.m"
+    ):
+        planner = models.GuidedSearch("old", model, 0.3)
+    assert isinstance(planner, GuidedSearch)
+    assert planner.predict == model.predict
+    assert (planner.name, planner.movement, planner.trust) == ("old", model.movement, 0.3)
+    assert planner.takes_terrain

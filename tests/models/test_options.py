@@ -14,7 +14,6 @@ import torch
 from mapdata.models import (
     CVAE,
     CostPredictor,
-    GuidedSearch,
     Heatmap,
     Model,
     NeuralAstar,
@@ -64,15 +63,6 @@ def test_an_option_that_does_not_fit_is_refused_by_name(
     for value in values:
         with pytest.raises(ValueError, match=f"^{option}: got "):
             model_class(**{**SMALL[model_class], option: value})
-
-
-@pytest.mark.parametrize("trust", [-0.1, math.nan, "x"])
-def test_a_trust_that_is_no_weight_is_refused(trust: Any) -> None:
-    """Infinite trust is a walk."""
-    model = PathPredictor(**SMALL[PathPredictor])
-    GuidedSearch("walk", model, trust=math.inf)
-    with pytest.raises(ValueError, match="trust: got "):
-        GuidedSearch("search", model, trust=trust)
 
 
 def test_the_smallest_cells_have_an_output() -> None:
