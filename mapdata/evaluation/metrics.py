@@ -115,6 +115,7 @@ def evaluate(
     problems: ProblemSet,
     *,
     baseline: str | None = None,
+    difference_from: str | None = None,
     bootstrap: int = 1000,
     seed: int = 0,
     progress: bool = False,
@@ -142,6 +143,9 @@ def evaluate(
       does instead of expansions.
     - ``<name>_low``, ``<name>_high`` of the six (on terrain, seven) metrics: 95 % percentile
       interval over resampled problems, with the same resamples for all planners.
+    - ``<name>_difference``, only with ``difference_from``: each of the six metrics minus that of
+      the planner of this name, and the ends of its interval, ``<name>_difference_low`` and
+      ``<name>_difference_high``. The resamples are the same for both (paired bootstrap).
     - ``ms``: milliseconds of a call of `plan`, which solves one problem: the median over problems.
     - ``ms_batched``: milliseconds a problem in calls of `plan_batch` with 64 problems: the median
       over calls, of all problems in both rows; NaN for a planner without it.
@@ -166,6 +170,9 @@ def evaluate(
             `mapdata.evaluation.planners.classical` returns the usual ones.
         problems: the problems to solve.
         baseline: name of the planner whose expansions are E*.
+        difference_from: name of the planner whose metrics are subtracted from those of all
+            planners. From "guided search, no network" of `classical`, the differences are what a
+            network adds to its search.
         bootstrap: number of resamples.
         seed: of the resamples.
         progress: show a progress bar. It counts a problem once for each planner, and again for
@@ -174,9 +181,9 @@ def evaluate(
     Raises:
         TypeError: ``problems`` are no `ProblemSet`; one of the planners has no ``name`` or no
             ``plan``; the answer of a planner is no `Plan`.
-        ValueError: no planner, two of one name, none of the name ``baseline``, no problem, no
-            resample, a ``plan_batch`` with too few plans, or a planner whose attribute ``movement``
-            is another `Movement` than that of the problems.
+        ValueError: no planner, two of one name, none of the name ``baseline`` or
+            ``difference_from``, no problem, no resample, a ``plan_batch`` with too few plans, or a
+            planner whose attribute ``movement`` is another `Movement` than that of the problems.
         Exception: whatever a planner raises.
 
     Warns:
@@ -202,6 +209,8 @@ def evaluate(
     check_count("bootstrap", bootstrap)
     if baseline is not None:
         check_choice("baseline", baseline, names)
+    if difference_from is not None:
+        check_choice("difference_from", difference_from, names)
     batch_planner_count = sum(isinstance(planner, BatchPlanner) for planner in planners)
     total = (len(planners) + batch_planner_count) * len(problems)
     with bar(progress, total, unit=" problems") as advance:
@@ -212,7 +221,7 @@ def evaluate(
     reference_expansions: Floats | Ints = problems.optimal.iterations
     if baseline is not None:
         reference_expansions = runs[names.index(baseline)].expansions
-    return _table(names, runs, problems, reference_expansions, bootstrap, seed)
+    return _table(names, runs, problems, reference_expansions, bootstrap, seed, difference_from)
 
 
 def _warn_of_paths(name: str, run: _Run) -> None:
@@ -397,16 +406,29 @@ def _table(
     reference_expansions: Floats | Ints,
     bootstrap: int,
     seed: int,
+    difference_from: str | None = None,
 ) -> pd.DataFrame:
     """Return the table of `evaluate` for the measurements of each planner.
 
     ``reference_expansions``, (N,), are E*.
     """
     outcomes = np.stack([_outcomes(run, problems, reference_expansions) for run in runs], axis=1)
-    metric_names = TERRAIN_METRICS if problems.has_terrain else METRICS
+    metric_names = list(METRICS)
+    metrics_of = _metrics
+    if difference_from is not None:
+        other = names.index(difference_from)
+        metric_names += [f"{name}_difference" for name in METRICS]
+
+        def metrics_of(means: Floats) -> Floats:
+            """Return the six metrics of all planners, and how far they are from those of one."""
+            metrics = _metrics(means)
+            return np.concatenate([metrics, metrics - metrics[..., [other], :]], axis=-1)
+
+    if problems.has_terrain:
+        metric_names.append("regret")
     rows = []
     for subset, mask in (("all", np.ones(len(problems), bool)), ("hard", problems.hard)):
-        intervals = confidence_intervals(outcomes[mask], _metrics, bootstrap, seed)
+        intervals = confidence_intervals(outcomes[mask], metrics_of, bootstrap, seed)
         regret = intervals[..., [METRICS.index("cost_ratio")]] - 1
         metrics, lows, highs = np.concatenate([intervals, regret], axis=-1)
         for k, run in enumerate(runs):

@@ -27,10 +27,11 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Annotation, Text
 from scipy import stats
 
-from mapdata import MapSpec, Plan, ProblemSet, astar, build, evaluate, search_batch
+from mapdata import MapSpec, Plan, ProblemSet, astar, build, check_path, evaluate, search_batch
 from mapdata.evaluation import (
     METRICS,
     TIMES,
+    BestFirst,
     Planner,
     classical,
     median_interval,
@@ -748,3 +749,51 @@ def test_each_number_is_above_its_mark_where_marks_crowd() -> None:
         assert below.min() > 0
         assert below.max() < 20
         assert abs((box.x0 + box.x1) / 2 - marks[:, 0].mean()) < 1
+
+
+def test_differences_are_those_of_scipys_paired_bootstrap() -> None:
+    """Metrics minus those of a named planner: 0 for this planner itself, and for another one with
+    the interval of scipy, which resamples the problems of both together.
+    """
+    movement = Movement(8)
+    problems = ProblemSet.sample(DUNGEON, 3, 80, movement=movement)
+    weighted, greedy = BestFirst("mild", movement, 1.25), BestFirst("greedy", movement, 3)
+    table = evaluate([weighted, greedy], problems, difference_from="mild")
+    assert [row(table, "mild", "all")[f"{name}_difference"] for name in METRICS] == [0] * 6
+    of_greedy = row(table, "greedy", "all")
+    optimal = problems.optimal
+    for metric, score in (
+        (
+            "opt",
+            lambda plan, k: check_path(problems.grids[k], plan.path, movement) == optimal.cost[k],
+        ),
+        ("expansion_ratio", lambda plan, k: plan.expansions / optimal.iterations[k]),
+    ):
+        scores = [
+            np.array([score(plan, k) for k, plan in enumerate(plans)], float)
+            for plans in (
+                planner.plan_batch(problems.grids, problems.starts, problems.goals)
+                for planner in (greedy, weighted)
+            )
+        ]
+        found = stats.bootstrap(
+            scores,
+            lambda first, second, axis: first.mean(axis) - second.mean(axis),
+            paired=True,
+            method="percentile",
+            rng=np.random.default_rng(1),
+        ).confidence_interval
+        width = found.high - found.low
+        assert of_greedy[f"{metric}_difference"] == pytest.approx(np.mean(scores[0] - scores[1]))
+        for end, expected in zip(("low", "high"), found, strict=True):
+            # Both are quantiles of random resamples.
+            assert of_greedy[f"{metric}_difference_{end}"] == pytest.approx(
+                expected, abs=0.1 * width
+            )
+
+
+def test_the_planner_of_differences_must_be_there() -> None:
+    """The message lists the planners."""
+    plan = Scripted([([], 1), ([], 1), ([], 1)])
+    with pytest.raises(ValueError, match=r"difference_from: got 'A', expected .*scripted"):
+        evaluate([plan], three(), difference_from="A")
