@@ -228,6 +228,7 @@ class Npz:
     Attributes:
         path: the file.
         shapes: shape of each array, by name.
+        members: name of each file in the archive; that of an array ends with ".npy".
     """
 
     def __init__(self, path: Path, max_bytes: int = MAX_BYTES) -> None:
@@ -249,6 +250,7 @@ class Npz:
         with refusing(f"{path}: not a sound .npz file"), open(path, "rb") as file:
             _check_start(path, file, b"PK", ".npz")
         with refusing(f"{path}: not a sound .npz file"), _opened_archive(path) as archive:
+            self.members = archive.namelist()
             members = [member for member in archive.infolist() if member.filename[-4:] == ".npy"]
             if not 1 <= len(members) <= _MAX_MEMBERS:
                 raise FormatError(
@@ -303,7 +305,7 @@ class Npz:
         """Return a text that was saved as an array of shape ().
 
         Raises:
-            FormatError: there is none, or it is longer than ``max_length``.
+            FormatError: there is none, it is longer than ``max_length``, or it is damaged.
         """
         self.require(name)
         header = self._headers[name]
@@ -314,17 +316,18 @@ class Npz:
                 f"{label}: holds {header.dtype} of shape {header.shape}, expected a text of at "
                 f"most {max_length} letters"
             )
-        if length == 0:
-            return ""
-        codes = StoredArray(
+        # The checksum of a member is compared only where it is read to its end. So the text has to
+        # fill it, as arrays do.
+        code_dtype = np.dtype(np.uint32).newbyteorder(header.dtype.byteorder)
+        codes = _checked_array(
+            header=_Header((length,), is_fortran=False, dtype=code_dtype, size=header.size),
             label=label,
-            shape=(length,),
-            dtype=np.dtype(np.uint32).newbyteorder(header.dtype.byteorder),
-            is_fortran=False,
-            offset=header.size,
+            size=self._sizes[name],
             path=self.path,
             member=f"{name}.npy",
         )
+        if length == 0:
+            return ""
         with refusing(f"{label}: damaged"):
             return str(codes.read().view(header.dtype)[0])
 

@@ -24,7 +24,7 @@ from mapdata.limits import SPLITS, Size
 from mapdata.movement import Movement, check_movement
 from mapdata.problems.nearest import nearest_text, nothing_seen, see_values
 from mapdata.problems.sampling import sample_problems, solve_pairs
-from mapdata.problems.set_file import StoredSet, different_maps, hash_fault, read_set, write_set
+from mapdata.problems.set_file import StoredSet, different_maps, read_set, write_set
 from mapdata.problems.sources import (
     Random,
     Route,
@@ -395,14 +395,17 @@ class ProblemSet:
     def load(path: StrPath) -> ProblemSet:
         """Read problems that `save` wrote, in this version of mapdata or an earlier one.
 
-        The headers of the arrays are checked before anything is unpacked. The arrays together may
-        unpack to 64 MiB, or to 200 times the size of the file but at most 1 GiB; arrays that are
-        not compressed may have any size.
+        The file hash, which covers every bit, and the headers of the arrays are checked before
+        anything is unpacked. A file of mapdata 0.2 has no such hash; the checksums of its arrays
+        are compared. The arrays together may unpack to 64 MiB, or to 200 times the size of the file
+        but at most 1 GiB; arrays that are not compressed may have any size. A file that another
+        program wrote is refused: give its arrays to `ProblemSet` (docs/problems.md, Saved sets).
 
         Raises:
             FileNotFoundError: the file does not exist.
-            ValueError: the file holds no problems, too many for its size, problems of a newer
-                format, or problems that `ProblemSet` refuses; the message names the file.
+            ValueError: the file is damaged, written by another program or of a newer format; it
+                holds no problems, too many for its size, or problems that `ProblemSet` refuses. The
+                message names the file.
         """
         problem_set, _ = _load(Path(path))
         return problem_set
@@ -411,9 +414,8 @@ class ProblemSet:
     def verify(path: StrPath) -> list[str]:
         """Return what is wrong with a file that `save` wrote, in one line, or an empty list.
 
-        The file hash covers every bit of the file, and the content hash all problems that it holds.
-        A file of mapdata 0.2 has neither: it is only read, which compares the checksums of its
-        arrays.
+        The set is read as `load` does, and its content hash is compared with the one in the file. A
+        file of mapdata 0.2 has no content hash.
 
         Raises:
             FileNotFoundError: the file does not exist.
@@ -428,10 +430,9 @@ class ProblemSet:
             return [reason if str(path) in reason else f"{path}: {reason}"]
         if stated_hash is None:
             return []
-        fault = hash_fault(path)
-        if fault is None and problem_set.content_hash != stated_hash:
-            fault = "damaged (its content hash does not fit)"
-        return [] if fault is None else [f"{path}: {fault}"]
+        if problem_set.content_hash != stated_hash:
+            return [f"{path}: damaged (its content hash does not fit)"]
+        return []
 
     @staticmethod
     def sample(

@@ -12,10 +12,15 @@ A file of format 2 holds these arrays:
 - ``problem_numbers``, (N,) int64: the number of each problem. It is left out if it is 0 to N - 1.
 
 The zip archive ends with a comment, "mapdata sha256 " and the SHA-256 of all bytes before the
-comment, as 64 hexadecimal digits. Programs that read .npz files ignore it.
+comment, as 64 hexadecimal digits. Programs that read .npz files ignore it. Only a file whose hash
+fits is read: the checksums of a zip archive do not cover the names of its members, and a member
+with a damaged name would pass for one that was left out.
 
 A file of format 1, which mapdata 0.2 wrote, has ``about`` with ``movement`` and ``description``; a
-map for each problem, (N, H, W), also where problems share one; and no comment.
+map for each problem, (N, H, W), also where problems share one; and no comment. All of its members
+are needed, and each has a checksum.
+
+A file with other members than these is refused.
 """
 
 from __future__ import annotations
@@ -24,7 +29,7 @@ import hashlib
 import json
 import re
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from io import BytesIO
 from pathlib import Path
@@ -52,6 +57,9 @@ Sets that planners are compared on reach 10 to 160; files made to fill the memor
 
 _NUMBERS = ("map_indices", "problem_numbers")
 """Names of the arrays with a number for each problem, which are left out if it is 0 to N - 1."""
+
+_BUILD_ANEW = "build a set that you trust anew from its arrays; see docs/problems.md, Saved sets"
+"""What errors advise if a file was written by another program."""
 
 _HASH_LABEL = b"mapdata sha256 "
 
@@ -122,8 +130,8 @@ def write_set(path: StrPath, stored: StoredSet) -> None:
 def read_set(path: Path) -> StoredSet:
     """Read the file of a set, of any format so far.
 
-    The headers of the arrays are checked before anything is unpacked, and of the maps of a file of
-    format 1 only the different ones are kept in memory.
+    The file hash and the headers of the arrays are checked before anything is unpacked, and of the
+    maps of a file of format 1 only the different ones are kept in memory.
 
     Raises:
         FileNotFoundError: the file does not exist.
@@ -133,19 +141,25 @@ def read_set(path: Path) -> StoredSet:
     archive = Npz(path, sys.maxsize)  # the size is checked below, with a clearer message
     about_name = _about_name(archive)
     is_first_format = about_name == "about"
-    about = json.loads(archive.text(about_name))
+    if not is_first_format and not _hash_fits(path):
+        raise ValueError(
+            "its file hash does not fit: it is damaged, or another program wrote it; take another "
+            f"copy of the file, or {_BUILD_ANEW}"
+        )
     has_terrain = "terrain" in archive.shapes
     names = ["terrain" if has_terrain else "grids", "starts", "goals"]
     if not is_first_format:
         names += [name for name in _NUMBERS if name in archive.shapes]
+    archive.require(about_name, *names)
+    _check_members(archive.members, [about_name, *names])
+    about = json.loads(archive.text(about_name))
     stored = dict(zip(names, archive.arrays(*names), strict=True))
     _check_shapes({name: array.shape for name, array in stored.items()})
     unpacked_bytes = sum(array.nbytes for array in stored.values())
     if unpacked_bytes > max_bytes:
         raise ValueError(
             f"they unpack to {unpacked_bytes} bytes, expected at most {max_bytes}: 64 MiB, "
-            f"or {_MAX_RATIO} times the file up to 1 GiB. If you trust it, save its arrays "
-            "with numpy.savez, uncompressed"
+            f"or {_MAX_RATIO} times the file up to 1 GiB; {_BUILD_ANEW}"
         )
     maps = stored[names[0]]
     if is_first_format:
@@ -154,7 +168,7 @@ def read_set(path: Path) -> StoredSet:
         unpacked_maps = maps.read()
         map_indices = _read_numbers(stored, "map_indices", len(stored["starts"]))
         _check_map_indices(map_indices, len(unpacked_maps))
-    return StoredSet(
+    stored_set = StoredSet(
         unpacked_maps,
         has_terrain,
         map_indices,
@@ -165,6 +179,8 @@ def read_set(path: Path) -> StoredSet:
         description=str(about["description"]),
         content_hash=None if is_first_format else str(about["content_hash"]),
     )
+    _check_problem_numbers(stored_set)
+    return stored_set
 
 
 def different_maps(maps: Iterable[Array], shape: tuple[int, ...]) -> tuple[Array, Ints]:
@@ -188,11 +204,10 @@ def different_maps(maps: Iterable[Array], shape: tuple[int, ...]) -> tuple[Array
     return stacked, np.array(map_indices, np.int64)
 
 
-def hash_fault(path: Path) -> str | None:
-    """Return what is wrong with the hash at the end of a file of format 2, or None.
+def _hash_fits(path: Path) -> bool:
+    """Return whether a file of format 2 has the hash that its end states.
 
-    Every bit of the file is covered. Whether a file of another format, which has no hash, is sound
-    is left to `read_set`.
+    The hash covers every bit of the file.
 
     Raises:
         OSError: the file cannot be read.
@@ -205,9 +220,7 @@ def hash_fault(path: Path) -> str | None:
             digest.update(block)
             remaining -= len(block)
         comment = file.read()
-    if comment == _HASH_LABEL + digest.hexdigest().encode():
-        return None
-    return "damaged, or written by another program (its file hash does not fit)"
+    return comment == _HASH_LABEL + digest.hexdigest().encode()
 
 
 def _with_hash(archive: bytes) -> bytes:
@@ -237,24 +250,78 @@ def _about_name(archive: Npz) -> str:
     return "about"
 
 
+def _check_members(members: Sequence[str], names: Iterable[str]) -> None:
+    """Refuse an archive with other members than the arrays of its format, each of them once.
+
+    Args:
+        members: names of the files in the archive.
+        names: of the arrays of its format, all of which it has.
+
+    Raises:
+        ValueError: a member is unknown, or is there twice.
+    """
+    unknown = list(members)
+    for name in names:
+        unknown.remove(f"{name}.npy")
+    if unknown:
+        raise ValueError(
+            f"holds {', '.join(map(repr, unknown))} beside the arrays of its format: it is "
+            f"damaged, or another program wrote it; {_BUILD_ANEW}"
+        )
+
+
 def _read_numbers(stored: Mapping[str, StoredArray], name: str, count: int) -> Ints:
-    """Return the numbers of maps or problems, (N,) int64; 0 to N - 1 if they are left out."""
+    """Return the numbers of maps or problems, (N,) int64; 0 to N - 1 if they are left out.
+
+    Raises:
+        ValueError: they are no int64, or one is negative.
+    """
     if name not in stored:
         return np.arange(count)
-    return stored[name].read().astype(np.int64)
+    dtype = stored[name].dtype
+    if dtype.kind != "i" or dtype.itemsize != 8:
+        raise ValueError(f"{name} holds {dtype}, expected int64")
+    numbers = stored[name].read().astype(np.int64)
+    if numbers.min(initial=0) < 0:
+        raise ValueError(f"{name} holds {numbers.min()}, expected no negative number")
+    return numbers
 
 
 def _check_map_indices(map_indices: Ints, map_count: int) -> None:
     """Refuse numbers of maps that do not fit the stored maps.
 
     Raises:
-        ValueError: more or fewer different numbers than maps, or negative ones.
+        ValueError: more or fewer different numbers than maps.
     """
     different_count = len(np.unique(map_indices))
-    if different_count != map_count or map_indices.min(initial=0) < 0:
+    if different_count != map_count:
         raise ValueError(
             f"map_indices holds {different_count} different numbers, expected {map_count}, one for "
-            "each map, and none that is negative"
+            "each map"
+        )
+
+
+def _check_problem_numbers(stored: StoredSet) -> None:
+    """Refuse a number that two different problems have.
+
+    A set may hold a problem several times, as ``problem_set[[5, 0, 5]]`` does.
+
+    Raises:
+        ValueError: the message names the two problems.
+    """
+    numbers = stored.problem_numbers
+    first_places, which = np.unique(numbers, return_index=True, return_inverse=True)[1:]
+    if len(first_places) == len(numbers):
+        return
+    firsts = first_places[which.reshape(-1)]
+    differs = stored.map_indices != stored.map_indices[firsts]
+    for cells in (stored.starts, stored.goals):
+        differs |= (cells != cells[firsts]).any(axis=1)
+    if differs.any():
+        place = int(np.argmax(differs))
+        raise ValueError(
+            f"problem_numbers holds {numbers[place]} for the different problems {firsts[place]} "
+            f"and {place}, expected another number for each problem"
         )
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.set_files import read_arrays, write_arrays, write_first_format
 
 from mapdata import Movement, ProblemSet, ProblemSetDataset
 from mapdata.arrays import Array
@@ -168,8 +169,7 @@ def test_files_of_the_first_format_are_read(name: str, tmp_path: Path) -> None:
 def test_a_newer_format_is_refused_by_name(tmp_path: Path) -> None:
     """As an older version refuses this one: its name is in the message."""
     path = saved(walled(4, 2), tmp_path)
-    with np.load(path) as file:
-        arrays = dict(file)
+    arrays = read_arrays(path)
     arrays["about_format_3"] = arrays.pop("about_format_2")
     np.savez(path, **arrays)
     says = r"set\.npz: holds no saved problems \(has format 3, expected 1 to 2: install a newer"
@@ -182,13 +182,47 @@ def test_a_newer_format_is_refused_by_name(tmp_path: Path) -> None:
 BAD_ARRAYS: dict[str, tuple[dict[str, Array], str]] = {
     "fewer numbers": ({"map_indices": np.zeros(3, np.int64)}, r"map_indices has shape \(3,\)"),
     "one map": ({"map_indices": np.zeros(4, np.int64)}, "holds 1 different numbers, expected 2"),
-    "negative": ({"map_indices": np.array([-1, 0, -1, 0])}, "none that is negative"),
+    "negative": ({"map_indices": np.array([-1, 0, -1, 0])}, "map_indices holds -1, expected no"),
+    "parts of maps": (
+        {"map_indices": np.array([0, 0.5, 0, 0.5])},
+        "map_indices holds float64, expected int64",
+    ),
+    "flags of maps": (
+        {"map_indices": np.array([False, True, False, True])},
+        "map_indices holds bool, expected int64",
+    ),
+    "large numbers of maps": (
+        {"map_indices": np.array([0, 2**64 - 1, 0, 2**64 - 1], np.uint64)},
+        "map_indices holds uint64, expected int64",
+    ),
     "equal maps": ({"grids": np.zeros((2, 24, 24), np.uint8)}, "two of its maps are equal"),
     "no map": ({"grids": np.zeros((0, 24, 24), np.uint8)}, "2 different numbers, expected 0"),
     "flat": ({"grids": np.zeros((24, 24), np.uint8)}, "have shapes"),
     "numbers of problems": (
         {"problem_numbers": np.zeros((4, 1), int)},
         "problem_numbers has shape",
+    ),
+    "negative numbers": (
+        {"problem_numbers": np.array([0, 1, 2, -3])},
+        "problem_numbers holds -3, expected no negative number",
+    ),
+    "equal numbers": (
+        {"problem_numbers": np.array([4, 7, 5, 7])},
+        "problem_numbers holds 7 for the different problems 1 and 3",
+    ),
+    "parts of problems": (
+        {"problem_numbers": np.array([0.5, 1, 2, np.nan])},
+        "problem_numbers holds float64, expected int64",
+    ),
+    "flags of problems": (
+        {"problem_numbers": np.array([False, True, True, True])},
+        "problem_numbers holds bool, expected int64",
+    ),
+    "parts of cells": ({"starts": np.full((4, 2), 0.5)}, "starts: got shape .* of float64"),
+    "another array": ({"seed": np.zeros(4, np.int64)}, r"holds 'seed.npy' beside the arrays"),
+    "maps and terrain": (
+        {"terrain": np.ones((2, 24, 24), np.uint8)},
+        r"holds 'grids.npy' beside the arrays",
     ),
 }
 
@@ -197,12 +231,36 @@ BAD_ARRAYS: dict[str, tuple[dict[str, Array], str]] = {
 def test_arrays_that_do_not_fit_are_refused(
     changes: dict[str, Array], reason: str, tmp_path: Path
 ) -> None:
-    """By the name of the file."""
+    """By the name of the file, also where its hash fits."""
     path = saved(walled(4, 2), tmp_path)
-    with np.load(path) as file:
-        arrays = dict(file)
-    np.savez(path, **arrays | changes)
+    write_arrays(path, read_arrays(path) | changes)
     with pytest.raises(ValueError, match=rf"set\.npz: holds no saved problems \(.*{reason}"):
+        ProblemSet.load(path)
+
+
+def test_a_problem_may_be_in_a_set_twice(tmp_path: Path) -> None:
+    """Under the same number, which is then no fault of the file."""
+    problems = walled(4, 2)[[3, 0, 3]]
+    assert ProblemSet.load(saved(problems, tmp_path)).problem_numbers.tolist() == [3, 0, 3]
+
+
+def test_a_member_that_is_no_array_is_refused(tmp_path: Path) -> None:
+    """Of a file of format 1, whose other members have checksums but no hash of them all."""
+    path = tmp_path / "set.npz"
+    write_first_format(path, walled(3, 2, 6))
+    assert len(ProblemSet.load(path)) == 3
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("notes.txt", "mine")
+    with pytest.raises(ValueError, match=r"holds 'notes.txt' beside the arrays of its format"):
+        ProblemSet.load(path)
+
+
+def test_a_set_that_another_program_wrote_is_refused(tmp_path: Path) -> None:
+    """Its arrays may be sound, and a set can be built from them."""
+    path = saved(walled(3, 2, 6), tmp_path)
+    np.savez(path, **read_arrays(path))  # type: ignore[arg-type]
+    says = r"its file hash does not fit: .*build a set that you trust anew from its arrays"
+    with pytest.raises(ValueError, match=rf"set\.npz: holds no saved problems \({says}"):
         ProblemSet.load(path)
 
 
@@ -214,10 +272,7 @@ def test_the_limit_of_unpacking_counts_what_is_stored(
     problems = walled(300, 1, 64)
     path = saved(problems, tmp_path)
     assert len(ProblemSet.load(path)) == 300
-    with np.load(path) as file:
-        about = json.loads(str(file["about_format_2"]))
-        ends = {name: file[name] for name in ("starts", "goals")}
-    np.savez_compressed(path, about=json.dumps(about), grids=np.array(problems.grids), **ends)
+    write_first_format(path, problems)
     with pytest.raises(ValueError, match=r"unpack to 1238400 bytes, expected at most"):
         ProblemSet.load(path)
 
@@ -232,7 +287,7 @@ def flipped(content: bytes, bit: int) -> bytes:
     return bytes(changed)
 
 
-def check_flips(path: Path, step: int) -> None:
+def check_verify(path: Path, step: int) -> None:
     """Check that `ProblemSet.verify` tells of each ``step``-th bit of a sound file in one line."""
     content = path.read_bytes()
     assert ProblemSet.verify(path) == []
@@ -246,14 +301,99 @@ def check_flips(path: Path, step: int) -> None:
 
 def test_verify_finds_flipped_bits(tmp_path: Path) -> None:
     """In all parts of the file: also those that no reader of zip archives looks at."""
-    check_flips(saved(walled(3, 2, 6), tmp_path), 131)
+    check_verify(saved(walled(3, 2, 6), tmp_path), 131)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("terrain", [False, True])
 def test_verify_finds_every_flipped_bit(tmp_path: Path, *, terrain: bool) -> None:
     """Without an exception."""
-    check_flips(saved(walled(3, 2, 6, terrain=terrain), tmp_path), 1)
+    check_verify(saved(walled(3, 2, 6, terrain=terrain), tmp_path), 1)
+
+
+def contents(problems: ProblemSet) -> list[object]:
+    """Return all that a file tells of a set, as values that can be compared."""
+    arrays = (problems.starts, problems.goals, problems.map_indices, problems.problem_numbers)
+    return [
+        problems.grids.tobytes(),
+        None if problems.terrain is None else problems.terrain.tobytes(),
+        *(array.tolist() for array in arrays),
+        problems.movement,
+        problems.description,
+    ]
+
+
+def check_load(path: Path, step: int) -> None:
+    """Check that `load` refuses a flip of each ``step``-th bit of a sound file, or is unchanged."""
+    content = path.read_bytes()
+    sound = contents(ProblemSet.load(path))
+    refused = 0
+    for bit in range(0, 8 * len(content), step):
+        path.write_bytes(flipped(content, bit))
+        try:
+            loaded = ProblemSet.load(path)
+        except ValueError:
+            refused += 1
+            continue
+        assert contents(loaded) == sound, bit
+    assert refused
+
+
+SETS: dict[str, Callable[[], ProblemSet]] = {
+    "own maps": lambda: walled(2, 2, 4),
+    "shared maps": lambda: walled(3, 2, 4),
+    "one map": lambda: walled(2, 1, 4),
+    "subset": lambda: walled(4, 3, 4)[[2, 3]],
+    "other order": lambda: walled(3, 3, 4)[[2, 0, 1]],
+    "terrain": lambda: walled(3, 2, 4, terrain=True),
+}
+"""Small sets, each of which has other arrays in its file."""
+
+FIRST_SETS = ("own maps", "shared maps", "one map", "terrain")
+"""Those that are also written in format 1, which knows no numbers."""
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_load_notices_flipped_bits(name: str, tmp_path: Path) -> None:
+    """Also in the names of arrays that may be left out, which no checksum of a zip covers."""
+    check_load(saved(SETS[name](), tmp_path), 331)
+
+
+@pytest.mark.parametrize("name", ["map_indices", "problem_numbers"])
+def test_an_array_with_a_damaged_name_does_not_pass_for_one_that_is_left_out(
+    name: str, tmp_path: Path
+) -> None:
+    """Its name stands in the directory of the archive, after the arrays."""
+    path = saved(SETS["other order"](), tmp_path)
+    content = path.read_bytes()
+    place = content.rindex(f"{name}.npy".encode()) + len(f"{name}.np")
+    path.write_bytes(flipped(content, 8 * place))
+    with pytest.raises(ValueError, match="its file hash does not fit"):
+        ProblemSet.load(path)
+
+
+@pytest.mark.parametrize("name", FIRST_SETS)
+def test_load_notices_flipped_bits_in_format_1(name: str, tmp_path: Path) -> None:
+    """Or they change nothing, such as the time of a member."""
+    path = tmp_path / "set.npz"
+    write_first_format(path, SETS[name]())
+    check_load(path, 331)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SETS)
+def test_load_notices_every_flipped_bit(name: str, tmp_path: Path) -> None:
+    """Each of some 10,000 in a file."""
+    check_load(saved(SETS[name](), tmp_path), 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FIRST_SETS)
+def test_load_notices_every_flipped_bit_in_format_1(name: str, tmp_path: Path) -> None:
+    """Or it changes nothing."""
+    path = tmp_path / "set.npz"
+    write_first_format(path, SETS[name]())
+    check_load(path, 1)
 
 
 def test_verify_finds_truncation_and_other_writers(tmp_path: Path) -> None:
@@ -266,10 +406,9 @@ def test_verify_finds_truncation_and_other_writers(tmp_path: Path) -> None:
     path.write_bytes(content + b"\0")
     assert len(ProblemSet.verify(path)) == 1
     path.write_bytes(content)
-    with np.load(path) as file:
-        np.savez(path, **file)
-    says = "damaged, or written by another program (its file hash does not fit)"
-    assert ProblemSet.verify(path) == [f"{path}: {says}"]
+    np.savez(path, **read_arrays(path))  # type: ignore[arg-type]
+    (fault,) = ProblemSet.verify(path)
+    assert "its file hash does not fit" in fault
     with pytest.raises(FileNotFoundError):
         ProblemSet.verify(tmp_path / "none.npz")
 
