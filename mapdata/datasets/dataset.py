@@ -396,6 +396,13 @@ class ProblemDataset(Dataset[Sample], ABC):
             parts.append(f"radius {self.serving.radius:g} m")
         return "; ".join(parts)
 
+    @abstractmethod
+    def problems_text(self) -> str:
+        """Return which problems are served, in words that no other problems have.
+
+        They do not depend on where the files of the maps are.
+        """
+
     def _own_maps(self, problems: Ints) -> Ints | None:
         """Return the maps on which problems are drawn first, as ``map_index`` numbers them.
 
@@ -474,6 +481,18 @@ class SampledProblemDataset(ProblemDataset):
         check_possible(
             self.serving.problems, self.map_size, self.movement, has_terrain=self.has_terrain
         )
+
+    def problems_text(self) -> str:
+        """Return what the problems are a function of: conditions, maps, and the seed of draws."""
+        hashes = ", ".join(map_hash[:12] for map_hash in self._map_hashes())
+        text = f"{self._served()}; maps {hashes}"
+        if self._drawn_anew == "problems":
+            text += f"; sampling_seed {self.serving.sampling_seed}"
+        return text
+
+    @abstractmethod
+    def _map_hashes(self) -> Sequence[str]:
+        """Return hashes that identify the maps."""
 
     @abstractmethod
     def _stored_maps(self, map_numbers: Ints) -> StoredMaps:
@@ -900,6 +919,9 @@ class MapDataset(SampledProblemDataset):
     def _served(self) -> str:
         filters = self._filters_text()
         return super()._served() + (f"; {filters}" if filters else "")
+
+    def _map_hashes(self) -> Sequence[str]:
+        return self._content_hashes
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Open the dataset again, if it still holds the same maps.

@@ -173,6 +173,9 @@ class OnlineMapDataset(SampledProblemDataset):
             fields=field_infos(self._load(np.array([0]), 0)),
         )
 
+    def _map_hashes(self) -> Sequence[str]:
+        return [identity(self.generator, self.seed)]
+
     @property
     def _map_count(self) -> int:
         """The number of maps that samples are first sought on."""

@@ -41,12 +41,14 @@ class LateLoader(DataLoader[Sample]):
     def state_dict(self) -> dict[str, Any]:
         """Return where this loader is: an epoch, and how many of its batches were handed out.
 
-        Batches that workers have prefetched do not count. All values are numbers or None, so a
-        checkpoint can hold them. After the last batch of an epoch it is the begin of the next one.
+        Batches that workers have prefetched do not count. All values are numbers, texts or None, so
+        a checkpoint can hold them. After the last batch of an epoch it is the begin of the next
+        one.
         """
         # Under Trainer(overfit_batches=...) Lightning puts a sampler of its own in place of ours.
+        # Its position is not ours to know.
         if not isinstance(self.sampler, EpochSampler):
-            return {}
+            return {_OTHER_SAMPLER: type(self.sampler).__name__}
         return self.sampler.state_dict(self._batches_handed_out)
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
@@ -56,13 +58,24 @@ class LateLoader(DataLoader[Sample]):
         from a checkpoint, the Trainer's own position counts, which leaves out a batch whose
         training step did not end.
 
+        At the begin of an epoch the loader may have other problems or another order than the one
+        that returned the state. In the middle of an epoch another order gives a warning.
+
         Raises:
-            ValueError: this is no state of such a loader.
+            ValueError: this is no state of such a loader, or one in the middle of an epoch of other
+                problems.
         """
         self._batches_handed_out = 0
-        if isinstance(self.sampler, EpochSampler) and state != {}:
+        holds_position = not isinstance(state, Mapping) or _OTHER_SAMPLER not in state
+        if isinstance(self.sampler, EpochSampler) and holds_position:
             self.sampler.load_state_dict(state)
 
+
+_OTHER_SAMPLER = "sampler"
+"""Key of the state of a loader whose sampler is none of ours: the name of its class."""
+
+_OTHER_PROBLEMS = ("problems", "problems_text")
+"""Keys of a state that differ if the problems differ."""
 
 MAX_SHUFFLED = 2**32
 """Samples of an order, whose numbers have 32 bits."""
@@ -189,7 +202,8 @@ class EpochSampler(DistributedSampler[Any]):
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Begin the next pass at the position of a loader, as `LateLoader.load_state_dict` does."""
         order = self._order()
-        names = ("epoch", "batches_done", *order)
+        # States of version 0.3.0 have no text of the problems.
+        names = ["epoch", "batches_done", *(name for name in order if name != "problems_text")]
         if not isinstance(state, Mapping) or not set(names) <= set(state):
             raise ValueError(
                 f"state: got {state!r}, expected what state_dict() of a loader of MapDataModule "
@@ -197,22 +211,56 @@ class EpochSampler(DistributedSampler[Any]):
             )
         epoch = check_count("epoch", state["epoch"], minimum=0)
         batches_done = check_count("batches_done", state["batches_done"], minimum=0)
-        changed = [name for name in order if order[name] != state[name]]
-        if changed and batches_done:
-            changes = [f"{name} was {state[name]} and is {order[name]}" for name in changed]
-            warnings.warn(
-                f"this loader goes on in the middle of an epoch of another order "
-                f"({', '.join(changes)}): in this epoch some samples may come twice or not at all",
-                stacklevel=3,
-            )
+        changes = {
+            name: f"{name} was {state[name]} and is {value}"
+            for name, value in order.items()
+            if name in state and state[name] != value
+        }
+        self._check_changes(changes, batches_done)
         self.set_epoch(epoch)
-        self._loaded = (epoch, batches_done)
+        # In another order an epoch may have fewer batches than were done. Then it begins anew.
+        self._loaded = (epoch, batches_done if batches_done < self._batch_count() else 0)
 
-    def _order(self) -> dict[str, int | None]:
+    def _check_changes(self, changes: Mapping[str, str], batches_done: int) -> None:
+        """Refuse a state in the middle of an epoch of other problems; warn of another order.
+
+        Args:
+            changes: what has changed since the state was saved, in words, by the names of `_order`.
+            batches_done: in the epoch of the state.
+
+        Raises:
+            ValueError: other problems, or more batches than an epoch has.
+        """
+        if batches_done == 0:
+            return
+        remedy = "resume from the end of an epoch, or load only the weights of the model"
+        text = ", ".join(changes.values())
+        if any(name in changes for name in _OTHER_PROBLEMS):
+            raise ValueError(
+                f"state: got one in the middle of an epoch of other problems ({text}), expected "
+                f"one of the same problems; {remedy}"
+            )
+        if changes:
+            warnings.warn(
+                f"this loader goes on in the middle of an epoch of another order ({text}): in this "
+                "epoch some samples may come twice or not at all",
+                stacklevel=4,
+            )
+        elif batches_done >= self._batch_count():
+            raise ValueError(
+                f"batches_done: got {batches_done}, expected less than {self._batch_count()}, the "
+                f"number of batches of an epoch; {remedy}"
+            )
+
+    def _order(self) -> dict[str, int | str | None]:
         """Return what decides, beside the epoch, which samples the batches of this rank hold."""
+        dataset = self.dataset
         return {
             "batch_size": self.batch_size,
-            "problems": len(self.dataset),  # type: ignore[arg-type]
+            "problems": len(dataset),  # type: ignore[arg-type]
+            "problems_text": (
+                dataset.problems_text() if isinstance(dataset, ProblemDataset) else None
+            ),
             "ranks": self._rank()[1],
             "sampling_seed": self.sampling_seed,
         }

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import pickle
 import random
+import shutil
 import subprocess
 import sys
 import tracemalloc
@@ -624,13 +625,117 @@ def test_a_state_of_another_order_is_told(root: str) -> None:
     changes = "batch_size was 8 and is 5, sampling_seed was 0 and is 3"
     with pytest.warns(UserWarning, match=f"an epoch of another order .{changes}"):
         other.load_state_dict(state)
-    for wrong, message in (
-        ({"epoch": 3}, "state: got .'epoch': 3., expected what state_dict"),
-        (7, "state: got 7, expected what state_dict"),
-        ({**state, "batches_done": -1}, "batches_done: got -1"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            other.load_state_dict(wrong)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (None, "state: got 7, expected what state_dict"),
+        ({"epoch": ...}, "state: got .*, expected what state_dict.* a mapping with epoch, batches"),
+        ({"batches_done": -1}, "batches_done: got -1"),
+        (
+            {"batches_done": 10**9},
+            "batches_done: got 1000000000, expected less than 11, the number",
+        ),
+        (
+            {"batches_done": 11},
+            "batches_done: got 11, expected less than 11, the number of batches",
+        ),
+        ({"batches_done": True}, "batches_done: got True"),
+        ({"epoch": 1.5}, "epoch: got 1.5"),
+        (
+            {"problems": 80},
+            "of other problems .problems was 80 and is 81.*from the end of an epoch",
+        ),
+    ],
+)
+def test_what_is_no_state_is_refused(root: str, changes: Any, message: str) -> None:
+    """Such as an epoch of no batches; `...` stands for a key that is missing."""
+    loader: Any = module(root).train_dataloader()
+    next(iter(loader))
+    state = loader.state_dict()
+    changed = {**state, **(changes or {})}
+    wrong = {key: value for key, value in changed.items() if value is not ...}
+    with pytest.raises(ValueError, match=message):
+        loader.load_state_dict(7 if changes is None else wrong)
+
+
+def test_an_empty_state_is_refused(root: str) -> None:
+    """It tells no position, and would silently begin at the first epoch."""
+    loader: Any = module(root).train_dataloader()
+    with pytest.raises(ValueError, match=r"state: got \{\}, expected what state_dict"):
+        loader.load_state_dict({})
+
+
+OTHER_PROBLEMS: dict[str, dict[str, Any]] = {
+    "conditions": {"problems": Random(distance=(4, None))},
+    "source": {"problems": "pairs"},
+    "movement": {"movement": Movement(8)},
+    "radius": {"radius": 0.01},
+    "seed": {"sampling_seed": 4},
+}
+
+
+@pytest.mark.parametrize("changes", OTHER_PROBLEMS.values(), ids=OTHER_PROBLEMS)
+def test_a_state_of_other_problems_is_refused(root: str, changes: dict[str, Any]) -> None:
+    """Within an epoch, also of as many problems; from the begin of an epoch training may go on."""
+    loader: Any = module(root, problems="random").train_dataloader()
+    at_the_begin = loader.state_dict()
+    next(iter(loader))
+    arguments = {"problems": "random", **changes}
+    other: Any = module(root, **arguments).train_dataloader()
+    other.load_state_dict(at_the_begin)
+    with pytest.raises(ValueError, match="one in the middle of an epoch of other problems"):
+        other.load_state_dict(loader.state_dict())
+
+
+def test_a_trainer_takes_other_problems_from_the_end_of_an_epoch(root: str, tmp_path: Path) -> None:
+    """For instance harder ones; in the middle of an epoch they are refused."""
+    every = ModelCheckpoint(tmp_path, "{step}", every_n_train_steps=3, save_top_k=-1)
+    run = trainer(callbacks=[every], enable_checkpointing=True, max_epochs=1)
+    run.fit(Model(), datamodule=module(root, problems="random"))
+    run.save_checkpoint(tmp_path / "end.ckpt")
+    harder = Random(distance=(4, None))
+    resumed = Model()
+    trainer().fit(
+        resumed, datamodule=module(root, problems=harder), ckpt_path=tmp_path / "end.ckpt"
+    )
+    assert [one.epoch for one in resumed.seen] == [1] * len(resumed.seen)
+    with pytest.raises(ValueError, match="in the middle of an epoch of other problems"):
+        trainer().fit(
+            Model(), datamodule=module(root, problems=harder), ckpt_path=tmp_path / "step=3.ckpt"
+        )
+
+
+def test_the_same_problems_of_another_folder_are_the_same(root: str, tmp_path: Path) -> None:
+    """A training goes on where its dataset was copied."""
+    shutil.copytree(root, tmp_path / "copy")
+    loader: Any = module(root, problems="random").train_dataloader()
+    next(iter(loader))
+    copied: Any = module(str(tmp_path / "copy"), problems="random").train_dataloader()
+    copied.load_state_dict(loader.state_dict())
+    assert copied.state_dict() == loader.state_dict()
+
+
+def test_a_state_of_an_earlier_version_is_taken(root: str) -> None:
+    """Version 0.3.0 saved no text of the problems."""
+    loader: Any = module(root).train_dataloader()
+    next(iter(loader))
+    state = loader.state_dict()
+    other: Any = module(root).train_dataloader()
+    other.load_state_dict({key: value for key, value in state.items() if key != "problems_text"})
+    assert other.state_dict() == state
+
+
+def test_an_epoch_that_is_shorter_in_another_order_begins_anew(root: str) -> None:
+    """No pass is without batches."""
+    loader: Any = module(root, batch_size=4).train_dataloader()
+    for _ in zip(range(7), loader, strict=False):
+        pass
+    other: Any = module(root, batch_size=16).train_dataloader()
+    with pytest.warns(UserWarning, match="batch_size was 4 and is 16"):
+        other.load_state_dict(loader.state_dict())
+    assert len(list(other)) == len(other) > 0
 
 
 def test_a_trainer_that_overfits_saves_and_resumes(root: str, tmp_path: Path) -> None:
