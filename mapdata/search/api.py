@@ -813,11 +813,12 @@ def terrain_from_costs(costs: ArrayLike, grids: ArrayLike) -> Bytes:
             f"costs: got {cell_costs[cell]} at {cell}, expected a finite number of at least 0 on "
             "each free cell"
         )
-    # Half floats would overflow, and integers be cut.
-    free_costs = np.where(is_free, cell_costs, 0).astype(np.result_type(cell_costs, np.float32))
+    free_costs = np.where(is_free, cell_costs, 0).astype(np.result_type(cell_costs, np.float64))
     largest = free_costs.max(axis=(-2, -1), keepdims=True)
-    scale = MAX_CELL_COST / np.where(largest > 0, largest, 1)
-    terrain: Bytes = np.clip(np.rint(free_costs * scale), 1, MAX_CELL_COST).astype(np.uint8)
+    # The shares are between 0 and 1 whatever the scale: 255 / largest would overflow where all
+    # costs are tiny, and 255 * costs where they are huge.
+    shares = free_costs / np.where(largest > 0, largest, 1)
+    terrain: Bytes = np.clip(np.rint(MAX_CELL_COST * shares), 1, MAX_CELL_COST).astype(np.uint8)
     terrain[~is_free] = 0
     return terrain
 

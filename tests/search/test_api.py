@@ -8,6 +8,7 @@ import math
 import re
 import threading
 from collections.abc import Callable, Sequence
+from fractions import Fraction
 from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple, TypeAlias
@@ -783,6 +784,32 @@ def test_terrain_of_costs_has_the_resolution_that_it_states() -> None:
             )
             assert [tuple(cell) for cell in found.path(k).tolist()] == truth.path
     assert (terrain_from_costs(np.zeros((2, 2)), np.zeros((2, 2))) == 1).all()
+
+
+@pytest.mark.parametrize(
+    ("dtype", "scale"),
+    [
+        (np.float16, 6e-8),  # the smallest positive number of the dtype
+        (np.float16, 6e4),
+        (np.float32, 1.4e-45),
+        (np.float32, 7e-40),
+        (np.float32, 3e38),
+        (np.float64, 5e-324),
+        (np.float64, 1e-310),
+        (np.float64, 1.7e308),
+        (np.longdouble, 1e-320),
+    ],
+)
+def test_terrain_of_tiny_and_huge_costs_is_rounded_as_fractions_are(
+    dtype: Any, scale: float
+) -> None:
+    """Python's fractions neither overflow nor underflow. No free cell becomes an occupied one."""
+    shares = np.array([[1.0, 0.7, 0.31], [0.013, 0.5, 0.0]])
+    costs = (shares * scale).astype(dtype)
+    exact = [[Fraction(*cost.as_integer_ratio()) for cost in row] for row in costs]
+    largest = max(max(row) for row in exact)
+    expected = [[max(1, round(255 * cost / largest)) for cost in row] for row in exact]
+    assert terrain_from_costs(costs, np.zeros((2, 3))).tolist() == expected
 
 
 @pytest.mark.parametrize(
