@@ -98,6 +98,7 @@ class ProblemSet:
         problem_numbers: (N,) int64, number of each problem, served as ``problem``: 0 to N - 1, and
             in a subset the numbers of the set that it was taken from.
         optimal: the answers of mapdata's A*: the optimal costs, and the expansions to compare with.
+            Its arrays cannot be written to either.
 
     Raises:
         ValueError: what `search_batch` refuses; a problem without a path, or whose start is its
@@ -199,9 +200,14 @@ class ProblemSet:
     def _protect(self) -> None:
         """Make the arrays read-only, and set ``grids`` and ``terrain`` if they take no memory."""
         maps = self._maps
-        for array in (self.starts, self.goals, self.map_indices, self.problem_numbers, *maps):
+        numbers = (self.map_indices, self.problem_numbers, self._rows)
+        for array in (self.starts, self.goals, *numbers, *self.optimal, *maps):
             if array is not None:
                 array.setflags(write=False)
+        # A pickled set may have these two already; they are writable in the new process.
+        for name in ("hardness", "hard"):
+            if name in vars(self):
+                vars(self)[name].setflags(write=False)
         if maps.terrain is None:
             vars(self)["terrain"] = None
         if self._has_own_maps or len(maps.grids) == 1:
@@ -331,12 +337,16 @@ class ProblemSet:
         min_costs = self._maps.min_cell_costs
         if min_costs is not None:
             min_costs = min_costs[self._rows]
-        return hardness(self.optimal.cost, self.starts, self.goals, self.movement, min_costs)
+        ratios = hardness(self.optimal.cost, self.starts, self.goals, self.movement, min_costs)
+        ratios.setflags(write=False)
+        return ratios
 
     @cached_property
     def hard(self) -> Flags:
         """(N,) bool: the hardness is at least ``HARD``."""
-        return self.hardness >= HARD
+        is_hard: Flags = self.hardness >= HARD
+        is_hard.setflags(write=False)
+        return is_hard
 
     @property
     def map_count(self) -> int:

@@ -487,15 +487,46 @@ def test_what_selects_no_problems_is_refused(
         walled(12, 3)[indices]
 
 
-def test_the_maps_of_a_set_cannot_be_written_to() -> None:
-    """Also those that are made when they are first used, and those of subsets."""
+ARRAYS: dict[str, Callable[[ProblemSet], Array]] = {
+    "grids": lambda one: one.grids,
+    "terrain": lambda one: np.asarray(one.terrain),
+    "starts": lambda one: one.starts,
+    "goals": lambda one: one.goals,
+    "map_indices": lambda one: one.map_indices,
+    "problem_numbers": lambda one: one.problem_numbers,
+    "hardness": lambda one: one.hardness,
+    "hard": lambda one: one.hard,
+    "optimal.cells": lambda one: one.optimal.cells,
+    "optimal.offsets": lambda one: one.optimal.offsets,
+    "optimal.cost": lambda one: one.optimal.cost,
+    "optimal.iterations": lambda one: one.optimal.iterations,
+    "optimal.path": lambda one: one.optimal.path(0),
+}
+"""The arrays that a set hands out."""
+
+COPIES: dict[str, Callable[[ProblemSet], ProblemSet]] = {
+    "new": lambda problems: problems,
+    "slice": lambda problems: problems[2:],
+    "list": lambda problems: problems[[1]],
+    "pickled": lambda problems: pickle.loads(pickle.dumps(problems)),
+    "deep": copy.deepcopy,
+}
+
+
+@pytest.mark.parametrize("name", ARRAYS)
+@pytest.mark.parametrize("kind", COPIES)
+def test_no_array_of_a_set_can_be_written_to(kind: str, name: str) -> None:
+    """Neither those that are made when they are first used, nor what scores are divided by."""
     problems = walled(12, 3, terrain=True)
-    for one in (problems, problems[2:], problems[[1]], pickle.loads(pickle.dumps(problems))):
-        arrays: list[Array] = [one.grids, one.starts, one.map_indices, one.problem_numbers]
-        assert one.terrain is not None
-        for array in (*arrays, one.terrain):
-            with pytest.raises(ValueError, match="read-only"):
-                array[:] = 0
-        assert one.grids is one.grids
+    assert problems.hard.shape == problems.hardness.shape  # kept, and so copied with the set
+    array = ARRAYS[name](COPIES[kind](problems))
+    with pytest.raises(ValueError, match="read-only"):
+        array[:] = 0
+
+
+def test_repeated_maps_are_made_once() -> None:
+    """And other attributes do not exist."""
+    problems = walled(12, 3)
+    assert problems.grids is problems.grids
     with pytest.raises(AttributeError, match="no attribute 'grid'"):
         _ = problems.grid  # type: ignore[attr-defined]

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import reference
+from helpers.set_files import read_arrays, write_arrays
 
 from mapdata import PRESETS, ProblemSet, Random, Terrain, astar, build, generate
 from mapdata.arrays import Bytes
@@ -227,9 +228,7 @@ def test_a_file_of_bad_terrain_is_refused(terrain: Bytes, reason: str, tmp_path:
     """By the name of the file."""
     path = tmp_path / "set.npz"
     small_set().save(path)
-    with np.load(path) as file:
-        arrays = dict(file)
-    np.savez(path, **arrays | {"terrain": terrain})
+    write_arrays(path, read_arrays(path) | {"terrain": terrain})
     with pytest.raises(ValueError, match=rf"set\.npz: holds no saved problems \(.*{reason}"):
         ProblemSet.load(path)
 
@@ -246,8 +245,7 @@ def test_a_file_of_terrain_may_unpack_to_as_much_as_one_of_grids(
     path = tmp_path / "set.npz"
     problems.save(path)
     assert ProblemSet.load(path).content_hash == problems.content_hash
-    with np.load(path) as file:
-        np.savez_compressed(path, **file)
+    write_arrays(path, read_arrays(path), compress=True)
     with pytest.raises(ValueError, match="unpack to 721600 bytes, expected at most"):
         ProblemSet.load(path)
 
