@@ -145,7 +145,8 @@ def pull_taut(grid: ArrayLike, path: ArrayLike, radius_cells: float = 0) -> Floa
     every obstacle and from the border. Around a corner the line follows an octagon instead of an
     arc, which adds at most 5.5 % to the length of the arc. Where the octagon, unlike the disc, has
     no room, the line follows the cells of the path. In both cases it has no bend that the disc can
-    pass straight without changing the side on which it passes an obstacle.
+    pass straight without changing the side on which it passes an obstacle. A path and its reverse
+    have the same line.
 
     Args:
         grid: (H, W) of 0 free and 1 occupied, or bool; at most 65,536 rows and columns.
@@ -175,12 +176,38 @@ def pull_taut(grid: ArrayLike, path: ArrayLike, radius_cells: float = 0) -> Floa
     free_for_robot = without_clearance(cells, radius_cells) if radius_cells else cells
     check_path(free_for_robot, path, Movement(8, corner_cutting=not radius_cells))
     own_path = np.array(np.asarray(path), np.int64)  # contiguous and writable, for the kernel
-    line, is_free = _taut_line(cells, own_path, robot)
+    line, is_free = (_line_of_robot if radius_cells else _taut_line)(cells, own_path, robot)
     if not is_free:
         raise RuntimeError(
             f"no free line along the path for a radius of {radius_cells} cells: please report this"
         )
     return line / CELL
+
+
+def _line_of_robot(grid: Bytes, path: Ints, robot: Robot) -> tuple[Ints, int]:
+    """Return the points (n, 2) of a robot's taut line, and whether they were proved free.
+
+    A path and its reverse have the same line. `_taut_line` alone depends on the direction, because
+    `_drop_bends` removes bends from the start on.
+    """
+    start, goal = path[[0, -1]].tolist()
+    is_backwards = start > goal or (start == goal and path.tolist() > path[::-1].tolist())
+    backwards = np.ascontiguousarray(path[::-1])
+    path, backwards = (backwards, path) if is_backwards else (path, backwards)
+    line, is_free = _taut_line(grid, path, robot)
+    # Without room for an octagon the line bends where the path does, at middles of cells. Then the
+    # two directions may differ by several percent.
+    has_bends = len(line) > 2
+    if has_bends and all(row % CELL == column % CELL == MIDDLE for row, column in line.tolist()):
+        other, other_is_free = _taut_line(grid, backwards, robot)
+        if other_is_free and _length(other) < _length(line):
+            line = other[::-1]
+    return (line[::-1] if is_backwards else line), is_free
+
+
+def _length(line: Ints) -> float:
+    """Return the length of a line (n, 2), in the unit of its points."""
+    return float(np.hypot(*np.diff(line, axis=0).T).sum())
 
 
 def _check_size(grid: Bytes) -> None:

@@ -405,6 +405,42 @@ def test_a_line_for_a_robot_is_never_longer_than_a_free_straight_line(radius: fl
     assert compared >= 10
 
 
+TOUCHING_RADII = [
+    pytest.param(math.hypot(rows, columns), id=f"{rows}-{columns}")
+    for rows, columns in ((0.5, 0.5), (1.5, 0.5), (1.5, 1.5), (2.5, 1.5), (2.0, 1.0))
+]
+"""Radii of robots that touch the corner of a cell from the middle, or a corner, of another cell."""
+
+
+@pytest.mark.parametrize("radius", [0, 0.5, *TOUCHING_RADII])
+def test_a_path_and_its_reverse_have_the_same_line(radius: float) -> None:
+    """Also where the octagon has no room, and the line follows the cells of the path."""
+    source = np.random.default_rng(5)
+    for _ in range(12):
+        grid = np.zeros((20, 24), np.uint8)
+        for _ in range(4):
+            row, column = source.integers(20), source.integers(24)
+            rows, columns = (2, 9) if source.random() < 0.5 else (9, 2)
+            grid[row : row + rows, column : column + columns] = 1
+        inflated = inflate(grid, radius)
+        for _ in range(3):
+            path = astar(inflated, *free_cells(inflated, source), Movement(8)).path
+            if len(path):
+                line = pull_taut(grid, path, radius)
+                np.testing.assert_array_equal(pull_taut(grid, path[::-1], radius), line[::-1])
+
+
+def test_a_line_that_follows_the_cells_is_pulled_from_both_ends() -> None:
+    """Around one wall, from either end, as short as from the better one: 16.81 cells, not 17.81."""
+    grid = np.zeros((17, 25), np.uint8)
+    grid[1:3, 7:] = 1
+    path = [(5, 5), (6, 5), *((7 + k, 6 + k) for k in range(5)), *((11, c) for c in range(11, 21))]
+    radius = math.hypot(2.5, 1.5)
+    lines = [pull_taut(grid, way, radius) for way in (path, path[::-1])]
+    assert lines_are_free([grid], [lines[0]], radius).all()
+    assert [length_of(line) for line in lines] == pytest.approx([16.81, 16.81], abs=0.01)
+
+
 def test_the_symmetries_of_a_map_move_its_taut_lines() -> None:
     """Turned and mirrored maps have turned and mirrored lines."""
     source = np.random.default_rng(9)
