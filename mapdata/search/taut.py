@@ -190,16 +190,16 @@ def _line_of_robot(grid: Bytes, path: Ints, robot: Robot) -> tuple[Ints, int]:
     A path and its reverse have the same line. `_taut_line` alone depends on the direction, because
     `_drop_bends` removes bends from the start on.
     """
-    start, goal = path[[0, -1]].tolist()
+    start, goal = path[0].tolist(), path[-1].tolist()
     is_backwards = start > goal or (start == goal and path.tolist() > path[::-1].tolist())
-    backwards = np.ascontiguousarray(path[::-1])
-    path, backwards = (backwards, path) if is_backwards else (path, backwards)
+    if is_backwards:
+        path = np.ascontiguousarray(path[::-1])
     line, is_free = _taut_line(grid, path, robot)
     # Without room for an octagon the line bends where the path does, at middles of cells. Then the
     # two directions may differ by several percent.
     has_bends = len(line) > 2
     if has_bends and all(row % CELL == column % CELL == MIDDLE for row, column in line.tolist()):
-        other, other_is_free = _taut_line(grid, backwards, robot)
+        other, other_is_free = _taut_line(grid, np.ascontiguousarray(path[::-1]), robot)
         if other_is_free and _length(other) < _length(line):
             line = other[::-1]
     return (line[::-1] if is_backwards else line), is_free
