@@ -1065,6 +1065,35 @@ def test_metrics_of_ranks_are_those_of_one_process(
 
 
 @pytest.mark.slow
+def test_a_logged_metric_is_the_mean_over_the_samples_of_all_ranks(
+    root: str, two_ranks: list[dict[str, Any]]
+) -> None:
+    """As docs/distributed.md logs it; so is the quotient of sum and count. The ranks hold unequal
+    numbers of samples.
+    """
+    count = len(MapDataset(root, "val"))
+    assert count % 2 == 1
+    for one in two_ranks:
+        logged = one["logged"]
+        assert logged["metric"] == np.arange(count).mean()
+        assert logged["sum"] / logged["count"] == np.arange(count).mean()
+
+
+@pytest.mark.slow
+def test_a_mean_that_lightning_takes_over_ranks_may_lie_above_all_samples(
+    root: str, two_ranks: list[dict[str, Any]]
+) -> None:
+    """As docs/distributed.md says: it rounds the mean number of samples of a rank down.
+
+    If this fails, Lightning does not round any more. Then correct the page.
+    """
+    count = len(MapDataset(root, "val"))
+    for one in two_ranks:
+        assert one["logged"]["mean_of_ones"] == pytest.approx(count / (2 * (count // 2)))
+        assert one["logged"]["mean_of_ones"] > 1
+
+
+@pytest.mark.slow
 def test_ranks_resume_in_mid_epoch(two_ranks: list[dict[str, Any]]) -> None:
     """Each rank goes on with its own unseen samples."""
     for one in two_ranks:
