@@ -61,6 +61,18 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     return f"; did you mean {spelled[matches[0]]}?" if matches else ""
 
 
+def printable(text: str) -> str:
+    r"""Return a text, such as the name of a file, with "?" for each letter that cannot be printed.
+
+    Such letters are line ends, tabs and the bytes of a name that are no UTF-8. Python has these
+    bytes as lone surrogates, which no file of text and no table can hold.
+
+    >>> printable("plan\udcff 1.png")
+    'plan? 1.png'
+    """
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
 def known_values(
     name: str,
     values: object,

@@ -39,6 +39,7 @@ import torch
 from matplotlib.figure import Figure
 
 from mapdata import PRESETS, evaluation
+from mapdata.checks import printable
 from mapdata.cli import (
     check_outputs,
     compare_planners,
@@ -210,7 +211,7 @@ def learned_samplers(folder: Path) -> dict[str, Sampler]:
     from .lego.sampler import Heatmap
 
     files = sorted([*folder.glob("lego_*.pt"), *folder.glob("shortest_path_*.pt")])
-    return {file.stem: load_model(file, Heatmap, CVAE) for file in files}
+    return {printable(file.stem): load_model(file, Heatmap, CVAE) for file in files}
 
 
 COMMANDS = {

@@ -100,6 +100,7 @@ from lightning_fabric.utilities.exceptions import MisconfigurationException
 from pytorch_lightning.cli import ArgsType, LightningArgumentParser, LightningCLI
 
 from mapdata import MapDataModule
+from mapdata.cli import print_all_letters
 from mapdata.interrupts import stoppable
 
 from . import neural_astar  # noqa: F401  (registers the class, so that --model finds it by its name)
@@ -132,6 +133,7 @@ class TrainingCli(LightningCLI):
             configs: names of the files in `CONFIGS` with the default arguments of ``fit``.
             arguments: the arguments; None takes those of the process.
         """
+        print_all_letters()
         files = [str(CONFIGS / name) for name in configs]
         with (
             stoppable("stopped; fit --ckpt_path FILE continues from a checkpoint"),

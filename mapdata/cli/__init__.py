@@ -1,7 +1,7 @@
 """The command ``mapdata``, and the functions that the scripts share with it."""
 
 from mapdata.cli.app import build_main, main
-from mapdata.cli.common import complain, run_parsed
+from mapdata.cli.common import complain, print_all_letters, run_parsed
 from mapdata.cli.evaluate import compare_planners, own_planner
 from mapdata.cli.problems import check_outputs, load_problems, write_table
 
@@ -13,6 +13,7 @@ __all__ = [
     "load_problems",
     "main",
     "own_planner",
+    "print_all_letters",
     "run_parsed",
     "write_table",
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import errno
+import io
 import os
 import re
 import shlex
@@ -128,6 +129,7 @@ def _split_text(manifest: Manifest) -> str:
 
 def _import_summary(root: str, manifest: Manifest, follow_links: bool) -> dict[str, str]:
     """Return the lines of `summary` that the record of an import gives."""
+    from mapdata.checks import printable
     from mapdata.limits import SPLITS
     from mapdata.shards.dataset_files import read_provenance
 
@@ -144,8 +146,7 @@ def _import_summary(root: str, manifest: Manifest, follow_links: bool) -> dict[s
                 f"{distinct['all']:,} of {manifest.done:,} ({symmetric:,} up to symmetry): "
                 f"{by_split}"
             )
-        source = f"{provenance['source']}, format {provenance['format']}"
-        lines["source"] = "".join(letter if letter.isprintable() else "?" for letter in source)
+        lines["source"] = printable(f"{provenance['source']}, format {provenance['format']}")
     return lines
 
 
@@ -155,6 +156,7 @@ def run(command: Command, *, modules: Sequence[str] = (), **arguments: object) -
     An error that a user can correct is printed as one line instead of a traceback. So is a lack of
     memory or of room on the disk; the line says what to do.
     """
+    print_all_letters()
     try:
         with stoppable(), warnings.catch_warnings():
             warnings.showwarning = _print_warning
@@ -181,6 +183,17 @@ def run(command: Command, *, modules: Sequence[str] = (), **arguments: object) -
         code = 1 if isinstance(error, (DisagreeError, ShardError)) else 2
         is_disk_full = isinstance(error, OSError) and error.errno in _DISK_FULL
         sys.exit(complain(f"{error}{_DISK_ADVICE if is_disk_full else ''}", code))
+
+
+def print_all_letters() -> None:
+    r"""Let both streams print letters that their encoding lacks, as in ``plans-\u010d``.
+
+    Otherwise such a letter in the path of a file would end a command with an error after its work
+    is done: where the output is a file or a pipe, the encoding may be an old one, as on Windows.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # programs such as Jupyter have other streams
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _memory_complaint(error: MemoryError, command: Command, arguments: Mapping[str, object]) -> str:

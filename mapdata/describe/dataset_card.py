@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mapdata._version import __version__
+from mapdata.checks import printable
 from mapdata.describe.problem_statistics import ProblemStatistics
 from mapdata.describe.statistics import DatasetStatistics, Repeats, dataset_statistics
 from mapdata.generators.generator import PRESETS, SHARED_PARAMETERS, MapGenerator
@@ -277,13 +278,13 @@ def _import_section(location: str, rooms_known: bool, follow_links: bool) -> Sec
     """
     try:
         provenance = read_provenance(location, follow_links)
-        sources = [str(source) for source in provenance.get("sources", ())]
+        names = [" ".join(str(source).split()) for source in provenance.get("sources", ())]
     except (OSError, ValueError, TypeError):
         return Section(
             "Where it comes from",
             "Imported; there is no sound record of the source beside the data.",
         )
-    text = f"Imported from {counted(len(sources), 'source')}, all named in {PROVENANCE}. "
+    text = f"Imported from {counted(len(names), 'source')}, all named in {PROVENANCE}. "
     if not rooms_known:
         count = provenance.get("seeds", "?")
         seed = provenance.get("seed", "?")
@@ -292,7 +293,7 @@ def _import_section(location: str, rooms_known: bool, follow_links: bool) -> Sec
         "The maps are those of the source; paths, iterations and matrices were computed by mapdata."
     )
     rows = [("map", "source")]
-    rows += [(str(k), source) for k, source in enumerate(sources[:_MAX_SOURCES])]
+    rows += [(str(k), printable(name)) for k, name in enumerate(names[:_MAX_SOURCES])]
     return Section("Where it comes from", text, table=rows)
 
 
@@ -475,8 +476,7 @@ def _folder_names(statistics: DatasetStatistics) -> list[str]:
     names = []
     for location in statistics.root.locations:
         name = os.path.basename(os.path.abspath(location))
-        printable = "".join(letter if letter.isprintable() else "?" for letter in name)
-        names.append(printable or "maps")
+        names.append(printable(name) or "maps")
     return names
 
 

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from mapdata.checks import printable
 from mapdata.datasets.fields import FIELDS
 from mapdata.describe.dataset_card import escaped, front_matter, movement_text
 from mapdata.describe.problem_statistics import ProblemStatistics
@@ -30,6 +31,7 @@ def problem_card(
         statistics: of the problems of each split.
         licence: identifier of the Hub; None leaves it out.
     """
+    title = printable(" ".join(name.split()))
     counts: dict[str, int] = about["problems"]
     total = sum(counts.values())
     data_files = [
@@ -41,7 +43,7 @@ def problem_card(
     }
     if licence is not None:
         properties["license"] = licence
-    lines = [front_matter(name, total, **properties), f"# {escaped(name)}", ""]
+    lines = [front_matter(title, total, **properties), f"# {escaped(title)}", ""]
     lines += [
         f"{total:,} path-planning problems on grid maps, made by mapdata {about['mapdata']}. A row "
         "is a problem.",
@@ -68,7 +70,7 @@ def problem_card(
         "```python",
         "from datasets import load_dataset",
         "",
-        f"# Give the path of this folder, or OWNER/{' '.join(name.split())} once it is on the Hub.",
+        f"# Give the path of this folder, or OWNER/{title} once it is on the Hub.",
         f'problems = load_dataset({name!r}, split="{HUB_SPLITS[next(iter(counts))]}")',
         'problems = problems.with_format("torch")',
         "```",

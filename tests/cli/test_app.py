@@ -4,6 +4,7 @@ pictures, imports.
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -447,6 +448,17 @@ def test_verify_refuses_what_it_does_not_know(run: Command, tmp_path: Path) -> N
     outcome = run("verify", archive)
     assert (outcome.code, outcome.out.count("\n")) == (1, 1)
     assert outcome.out.startswith(f"{archive}: holds no saved problems (holds no array 'about'")
+
+
+def test_a_letter_that_the_output_lacks_is_escaped(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A finished command ends with 0 whatever the encoding of its output, as on Windows."""
+    folder = shutil.copytree(dataset, tmp_path / "maps-\u010d")
+    output = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(output, "cp1252", newline="\n"))
+    cli.main(["verify", str(folder)])  # which raises SystemExit if the code is not 0
+    assert output.getvalue().decode("cp1252").endswith("maps-\\u010d: no faults found\n")
 
 
 @pytest.mark.slow

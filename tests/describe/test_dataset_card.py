@@ -30,6 +30,7 @@ from mapdata import (
 from mapdata.cli import main
 from mapdata.describe import card
 from mapdata.describe.dataset_card import TERRAIN_RULE, movement_text
+from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.limits import SPLITS
 from mapdata.shards import MANIFEST, PROVENANCE, read_manifest
 
@@ -154,6 +155,14 @@ def test_imported_maps_have_an_origin_instead_of_a_recipe(tmp_path: Path) -> Non
     for damaged in ("[1]", '{"sources": 3}', "x", '"text"'):
         (root / PROVENANCE).write_text(damaged)
         assert "no sound record of the source" in card(root)
+
+
+def test_a_source_whose_name_is_no_utf8_is_on_the_card(tmp_path: Path) -> None:
+    """Such names come from old archives; Python has their bytes as lone surrogates."""
+    grid = np.zeros((5, 5), np.uint8)
+    import_maps(tmp_path / "maps", Collection([ForeignMap("plan\udcff.png", grid)]))
+    main(["info", str(tmp_path / "maps"), "--card"])
+    assert "| 0 | plan?.png |\n" in (tmp_path / "maps/README.md").read_text(encoding="utf-8")
 
 
 def test_text_from_files_stays_text(tmp_path: Path) -> None:

@@ -46,6 +46,15 @@ def test_columns_have_the_shapes_that_the_card_states(tmp_path: Path) -> None:
         assert str(kind) == NAMES[dtype], name
 
 
+@pytest.mark.slow
+def test_a_folder_whose_name_is_no_utf8_gets_a_card(tmp_path: Path) -> None:
+    """The title has "?" for the byte that is no letter."""
+    pytest.importorskip("pyarrow")
+    folder = tmp_path / "maps\udcff"
+    export_problems(samples.SPEC, folder, format="parquet", count=1, split="val")
+    assert "\n# maps?\n" in (folder / "README.md").read_text(encoding="utf-8")
+
+
 def test_the_card_states_licence_and_limits(tmp_path: Path) -> None:
     """What a track for datasets asks for, as far as the export knows it."""
     pytest.importorskip("pyarrow")

@@ -4,6 +4,7 @@ weights that ship.
 
 from __future__ import annotations
 
+import io
 import json
 import runpy
 import subprocess
@@ -1054,6 +1055,16 @@ def test_the_script_takes_data_that_move_as_the_model(
                 f"--data.movement={movement}",
             ]
         )
+
+
+def test_the_script_prints_letters_that_the_output_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A path with such a letter must not end a training with an error after its last step."""
+    output = io.TextIOWrapper(io.BytesIO(), "ascii")
+    monkeypatch.setattr(sys, "stdout", output)
+    monkeypatch.setattr(sys, "argv", ["train", "--help"])
+    with pytest.raises(SystemExit):
+        train_path_predictor()
+    assert output.errors == "backslashreplace"
 
 
 @pytest.mark.parametrize("flags", [["--data.root", "m32"], ["--data.root=m32"]])

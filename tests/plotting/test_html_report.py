@@ -22,6 +22,7 @@ from helpers.samples import SPEC, WIDE, build_small
 from mapdata import Labels, MapSpec, build
 from mapdata.cli import main
 from mapdata.describe import dataset_statistics
+from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.limits import SPLITS
 from mapdata.plotting import report
 from mapdata.plotting.html_report import _compressed_maps
@@ -269,6 +270,14 @@ def test_every_control_has_a_name(page: Browser) -> None:
     identities = page.run("[...document.querySelectorAll('[id]')].map((one) => one.id)")
     assert len(set(identities)) == len(identities)
     assert page.run("document.documentElement.scrollWidth <= innerWidth")
+
+
+def test_a_source_whose_name_is_no_utf8_is_reported(tmp_path: Path) -> None:
+    """Such names come from old archives; Python has their bytes as lone surrogates."""
+    grid = np.zeros((5, 5), np.uint8)
+    import_maps(tmp_path / "maps", Collection([ForeignMap("plan\udcff.png", grid)]))
+    page = report(tmp_path / "maps").encode()
+    assert b"<td>plan?.png</td>" in page
 
 
 @needs_chromium
