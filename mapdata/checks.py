@@ -9,7 +9,7 @@ from dataclasses import fields
 from operator import index
 from typing import Any, TypeGuard
 
-from mapdata.limits import MAX_SIDE, SPLITS, Range, Size
+from mapdata.limits import MAX_RESOLUTION, MAX_SIDE, MIN_RESOLUTION, SPLITS, Range, Size
 
 
 def check_seed(seed: int, name: str = "seed") -> int:
@@ -202,10 +202,13 @@ def check_probability(name: str, value: object) -> float:
 
 
 def check_resolution(name: str, value: object) -> float:
-    """Return ``value`` as metres per cell, a finite number above 0."""
+    """Return ``value`` as metres per cell, from `MIN_RESOLUTION` to `MAX_RESOLUTION`."""
     resolution = check_number(name, value)
-    if not 0 < resolution < math.inf:
-        raise ValueError(f"{name}: got {resolution}, expected metres per cell above 0")
+    if not MIN_RESOLUTION <= resolution <= MAX_RESOLUTION:
+        raise ValueError(
+            f"{name}: got {resolution}, expected metres per cell above 0, from {MIN_RESOLUTION:g} "
+            f"to {MAX_RESOLUTION:g}"
+        )
     return resolution
 
 

@@ -16,6 +16,9 @@ TERRAIN_VERSION = 3
 MAX_SIDE = 4096
 """Largest number of rows or columns of a map."""
 
+MIN_RESOLUTION, MAX_RESOLUTION = 1e-9, 1e9
+"""Smallest and largest metres per cell. Products of other numbers with lengths would overflow."""
+
 MAX_ROOMS = 255
 """Largest number of rooms of a map."""
 

@@ -227,7 +227,8 @@ def verify_command(root: list[str], *, repair: bool = False, follow_links: bool 
     Args:
         root: folder or URL of a dataset, a file that ProblemSet.save wrote, or the folder of an
             export of training problems; or several of them
-        repair: build damaged and missing shards of datasets again from the recipe
+        repair: build damaged and missing shards of datasets again from the recipe; a link to a
+            damaged shard is replaced by a file
         follow_links: read files that are links out of their folder; only for folders of your own
     """
     from mapdata.shards.corruption import inspect, repair_faults
@@ -235,11 +236,6 @@ def verify_command(root: list[str], *, repair: bool = False, follow_links: bool 
     from mapdata.shards.locations import locations, target_folder
 
     sources = locations(root)
-    if repair and follow_links:
-        raise ValueError(
-            "--repair: not allowed with --follow-links; copy the dataset without links ('cp -rL'), "
-            "and repair the copy"
-        )
     kinds = {source: _kind_of(source) for source in sources}
     if repair:
         for source, kind in kinds.items():

@@ -7,6 +7,7 @@ import math
 import os
 import re
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -24,7 +25,7 @@ from mapdata.npy import MAX_BYTES, FormatError, StoredArray, refusing
 from mapdata.shards.errors import LINK_REMEDY
 from mapdata.shards.files import leads_out
 from mapdata.shards.root import Root
-from mapdata.shards.workers import bar
+from mapdata.shards.workers import Advance, bar
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,19 @@ def _target_of_link(path: Path) -> str:
     target = os.readlink(path)
     advice = "; git annex get fetches it" if "/annex/objects/" in target else ""
     return f" (a link to {target}){advice}"
+
+
+_LONG = 10_000
+"""Number of maps in one file from which on a bar shows how many are read."""
+
+
+def maps_bar(limits: Limits, total: int) -> AbstractContextManager[Advance]:
+    """Show a bar while the ``total`` maps of one file are read, if these are many.
+
+    Yields:
+        The function that advances it.
+    """
+    return bar(limits.progress and total >= _LONG, total, unit=" maps read")
 
 
 def check_pixels(label: str, rows: int, columns: int, limits: Limits) -> None:

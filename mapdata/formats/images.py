@@ -26,6 +26,7 @@ from mapdata.formats.files import (
     check_grids,
     check_pixels,
     files_with_endings,
+    maps_bar,
     percent,
     read_bytes,
     read_grids,
@@ -247,18 +248,19 @@ def read(
             if path.suffix.lower() in ARRAYS:
                 stored = _open_stack(path, limits, array)
                 check_grids(stored, limits, threshold)
-                is_stack = len(stored.shape) > 2 and len(stored) > 1
-                for number, grid in enumerate(read_grids(stored, threshold)):
-                    name = f"{path}[{number}]" if is_stack else str(path)
-                    cells = 1 - grid if invert else grid
-                    if outside == "occupied":
-                        is_outside = _outside(cells)
-                        inside_shares[name] = 1 - is_outside.sum() / (cells == 0).sum()
-                        cells = cells | is_outside
-                    sized = _sized(
-                        cells, partial(_mean_of_cells, cells), size, fit, resample, free_space
-                    )
-                    collection.maps.append(ForeignMap(name, sized, split))
+                count = len(stored) if len(stored.shape) > 2 else 1
+                with maps_bar(limits, count) as advance:
+                    for number, grid in enumerate(read_grids(stored, threshold)):
+                        name = f"{path}[{number}]" if count > 1 else str(path)
+                        cells = 1 - grid if invert else grid
+                        if outside == "occupied":
+                            is_outside = _outside(cells)
+                            inside_shares[name] = 1 - is_outside.sum() / (cells == 0).sum()
+                            cells = cells | is_outside
+                        mean = partial(_mean_of_cells, cells)
+                        sized = _sized(cells, mean, size, fit, resample, free_space)
+                        collection.maps.append(ForeignMap(name, sized, split))
+                        advance(1)
             else:
                 grey = brightness(read_pixels(path, limits, upright=True))
                 is_unknown = _unknown_pixels(grey)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import prod
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,9 @@ from mapdata.arrays import Array, Bytes, Ints
 from mapdata.describe.statistics import count_repeats, digests_of
 from mapdata.formats.collection import ForeignMap
 from mapdata.limits import SPLITS
+
+_HASHED_CELLS = 2**20
+"""Number of cells that are hashed in one call, which holds for all symmetric images as bytes."""
 
 
 class Separated(NamedTuple):
@@ -35,7 +39,9 @@ def separate(maps: list[ForeignMap], splits: Bytes, drop: bool, notes: list[str]
         drop: leave out the copies in the earlier splits, so that the test split stays whole.
         notes: if there are several splits, a line is added that says how many maps stand in two.
     """
-    digest_pairs = [_digests(foreign_map) for foreign_map in maps]
+    # Many small maps at a time, since a call takes as long for one of them as for a hundred.
+    step = max(1, _HASHED_CELLS // prod(maps[0].shape))
+    digest_pairs = [_digests(maps[first : first + step]) for first in range(0, len(maps), step)]
     exact = np.concatenate([exact for exact, _ in digest_pairs])
     symmetric = np.concatenate([symmetric for _, symmetric in digest_pairs])
     # Maps that are equal up to symmetry form a group; the copies in its last split are kept.
@@ -66,14 +72,15 @@ def separate(maps: list[ForeignMap], splits: Bytes, drop: bool, notes: list[str]
     )
 
 
-def _digests(foreign_map: ForeignMap) -> tuple[list[bytes], list[bytes]]:
-    """Return the hash of a map, and that of its symmetric images, as lists of one hash.
+def _digests(maps: list[ForeignMap]) -> tuple[list[bytes], list[bytes]]:
+    """Return the hash of each map, and that of its symmetric images.
 
     Maps of terrain are copies only if their costs are equal too.
     """
-    if foreign_map.terrain is not None:
-        return digests_of(foreign_map.terrain[None], is_terrain=True)
-    return digests_of(foreign_map.grid[None])
+    terrains = [foreign_map.terrain for foreign_map in maps if foreign_map.terrain is not None]
+    if terrains:
+        return digests_of(np.stack(terrains), is_terrain=True)
+    return digests_of(np.stack([foreign_map.grid for foreign_map in maps]))
 
 
 def _count_distinct(digests: Array, splits: Bytes) -> dict[str, int]:

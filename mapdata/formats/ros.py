@@ -230,8 +230,7 @@ def read_map(path: StrPath, limits: Limits = LIMITS) -> RosMap:
     """
     if Path(path).suffix.lower() in PICTURES:
         raise FormatError(f"{path}: is the picture of a map, expected the .yaml file that names it")
-    ros_map, _ = _read_map(Path(path), limits)
-    return ros_map
+    return _read_map(Path(path), limits).ros_map
 
 
 def is_ros_map(path: Path) -> bool:
@@ -241,11 +240,23 @@ def is_ros_map(path: Path) -> bool:
     return bool(_MAP_FIELDS.search(start) or _MESSAGE.search(start))
 
 
-def _read_map(path: Path, limits: Limits) -> tuple[RosMap, str]:
-    """Return the map of a .yaml file, and what is overruled in it.
+class _ReadMap(NamedTuple):
+    """The map of a .yaml file, and what a user has to know of it.
 
-    That is an empty text, or what the thresholds would have made of cells of the grey that
-    map_saver writes for unknown ones: "free" or "occupied".
+    Attributes:
+        ros_map: the map.
+        overruled: what the thresholds would have made of cells of the grey that map_saver writes
+            for unknown ones: "free" or "occupied"; an empty text if there are none.
+        transparent: the share of cells that are not free because their pixels are transparent.
+    """
+
+    ros_map: RosMap
+    overruled: str
+    transparent: float
+
+
+def _read_map(path: Path, limits: Limits) -> _ReadMap:
+    """Return the map of a .yaml file.
 
     Raises:
         FormatError: as `read_map`.
@@ -262,7 +273,11 @@ def _read_map(path: Path, limits: Limits) -> tuple[RosMap, str]:
         elif (values == 100).any():
             overruled = "occupied"
         cells[is_unknown] = -1
-    return RosMap(cells, header.resolution, header.origin, header.mode), overruled
+    transparent = 0.0
+    if header.mode != "raw" and pixels.values.shape[2] == 4:
+        transparent = float(((pixels.values[:, :, 3] == 0) & (cells != 0)).mean())
+    ros_map = RosMap(cells, header.resolution, header.origin, header.mode)
+    return _ReadMap(ros_map, overruled, transparent)
 
 
 class _Header(NamedTuple):
@@ -300,8 +315,10 @@ def _read_header(path: Path, limits: Limits) -> _Header:
     """
     fields = _read_yaml(path)
     resolution = _number(path, "resolution", fields["resolution"])
-    if resolution <= 0:
-        raise FormatError(f"{path}: resolution is {resolution}, expected metres per cell above 0")
+    try:
+        check_resolution("resolution", resolution)
+    except ValueError as error:
+        raise FormatError(f"{path}: {error}") from None
     low = _number(path, "free_thresh", fields["free_thresh"])
     high = _number(path, "occupied_thresh", fields["occupied_thresh"])
     if not 0 <= low <= high <= 1:
@@ -690,8 +707,8 @@ def read(
                     path, split, limits, costmap, unknown, resolution
                 )
             else:
-                ros_map, overruled = _read_map(path, limits)
-                grid = _checked_grid(path, ros_map, overruled, unknown)
+                ros_map, overruled, transparent = _read_map(path, limits)
+                grid = _checked_grid(path, ros_map, overruled, transparent, unknown)
                 unknown_share = float(_unknown_cells(ros_map.cells).mean())
                 if resolution is not None:
                     # The quotient of the decimal texts, since 0.15 / 0.05 is not 3 in floats.
@@ -734,18 +751,24 @@ def read(
 
 
 def _checked_grid(
-    path: Path, ros_map: RosMap, overruled: str, unknown: Literal["occupied", "free"] | None
+    path: Path,
+    ros_map: RosMap,
+    overruled: str,
+    transparent: float,
+    unknown: Literal["occupied", "free"] | None,
 ) -> Bytes:
     """Return the grid of the map of a .yaml file, (H, W) uint8, 0 free and 1 occupied.
 
     Args:
         path: of the file, for errors.
         ros_map: its map.
-        overruled: as `_read_map` returns it.
+        overruled: as in `_ReadMap`.
+        transparent: as in `_ReadMap`.
         unknown: what unknown cells become.
 
     Raises:
-        FormatError: a filter mask, or unknown cells, while ``unknown`` is None.
+        FormatError: a filter mask; unknown cells, while ``unknown`` is None; no free cell, because
+            free space is transparent.
     """
     if _is_filter_mask(ros_map):
         raise FormatError(
@@ -759,8 +782,19 @@ def _checked_grid(
                 f" (grey {UNKNOWN}, as map_saver writes them, although the thresholds make it "
                 f"{overruled})"
             )
+        if transparent:
+            reason += (
+                f", and {percent(transparent)} are transparent, which no map server takes for free "
+                "(save the picture without transparency, white where cells are free)"
+            )
         raise FormatError(f"{path}: {reason}: {_SAY_UNKNOWN}")
-    return ros_map.grid(unknown)
+    grid = ros_map.grid(unknown)
+    if transparent and grid.all():
+        raise FormatError(
+            f"{path}: no cell is free: {percent(transparent)} of the picture is transparent, which "
+            "no map server takes for free: save it without transparency, white where cells are free"
+        )
+    return grid
 
 
 def _read_costmap(

@@ -25,6 +25,7 @@ from mapdata.formats.files import (
     Limits,
     check_pixels,
     files_with_endings,
+    maps_bar,
     read_text,
     split_from_folders,
     to_occupancy,
@@ -143,10 +144,13 @@ def read(
             if (occupied, free) == (OCCUPIED, FREE):
                 drawings = {name: _drawn_cells(name, lines) for name, lines in blocks}
             # All are parsed before any is used, so that a damaged file gives no map.
-            collection.maps += [
-                _parsed(name, drawings.get(name) or lines, split, occupied, free, invert)
-                for name, lines in blocks
-            ]
+            parsed = []
+            with maps_bar(limits, len(blocks)) as advance:
+                for name, lines in blocks:
+                    rows = drawings.get(name) or lines
+                    parsed.append(_parsed(name, rows, split, occupied, free, invert))
+                    advance(1)
+            collection.maps += parsed
             drawing_count += sum(cells is not None for cells in drawings.values())
     if drawing_count:
         collection.notes.append(

@@ -174,8 +174,15 @@ class BatchResult(NamedTuple):
 
         Raises:
             IndexError: there is no problem k.
+            TypeError: k is no integer, such as a slice.
         """
         count = len(self.cost)
+        try:
+            k = index(k)
+        except TypeError:
+            raise TypeError(
+                f"path {k!r}: expected the number of a problem; paths() returns the paths of all"
+            ) from None
         if not -count <= k < count:
             raise IndexError(f"path {k} is out of range for {count} problems")
         k %= count
@@ -192,13 +199,19 @@ class BatchResult(NamedTuple):
             shape: (H, W) of the maps; of (B, H, W), such as ``grids.shape``, the last two count.
 
         Raises:
-            ValueError: a cell lies outside a map of this shape.
+            ValueError: another shape, or a cell lies outside a map of this shape.
 
         >>> search_batch("bfs", [[0, 1], [0, 0]], [(0, 0)], [(1, 1)]).masks((2, 2))
         array([[[1, 0],
                 [1, 1]]], dtype=uint8)
         """
-        rows, columns = shape[-2:]
+        try:
+            rows, columns = (index(side) for side in tuple(shape)[-2:])
+            is_size = min(rows, columns) > 0
+        except (TypeError, ValueError):  # no sequence of integers, or a single one
+            is_size = False
+        if not is_size:
+            raise ValueError(f"shape: got {shape!r}, expected (H, W) or (B, H, W) of the maps")
         if len(self.cells) and (self.cells >= (rows, columns)).any():
             raise ValueError(
                 f"shape: got {rows} x {columns} cells, but a path has the cell "

@@ -316,7 +316,12 @@ def planned_headers(manifest: Manifest) -> list[Header]:
 
 
 def build_shard(
-    root: Path, header: Header, *, damaged: Set[Span] = frozenset(), advance: Advance = no_bar
+    root: Path,
+    header: Header,
+    *,
+    damaged: Set[Span] = frozenset(),
+    follow_links: bool = False,
+    advance: Advance = no_bar,
 ) -> Entry:
     """Return the entry of a shard, which is built unless a sound file of it exists.
 
@@ -324,6 +329,7 @@ def build_shard(
         root: folder of the dataset.
         header: of the shard.
         damaged: (start, stop) of the shards whose files are replaced without looking at them.
+        follow_links: read a file that is a link out of the folder.
         advance: called with the number of maps that were finished since its last call.
 
     Raises:
@@ -331,7 +337,7 @@ def build_shard(
         OSError: the disk is full, or the folder may not be written to.
     """
     if header.limits not in damaged:
-        entry = load_shard(root, header)
+        entry = load_shard(root, header, follow_links)
         if entry is not None:
             advance(header.maps)
             return entry

@@ -153,7 +153,7 @@ def verify(root: Locations, *, follow_links: bool = False, progress: bool = Fals
     return faults
 
 
-def repair(root: Locations, *, progress: bool = False) -> list[str]:
+def repair(root: Locations, *, follow_links: bool = False, progress: bool = False) -> list[str]:
     """Repair what `verify` finds damaged or missing; return the faults that remain.
 
     Temporary files of killed writers, and shards that were replaced by longer ones, are removed.
@@ -162,6 +162,8 @@ def repair(root: Locations, *, progress: bool = False) -> list[str]:
 
     Args:
         root: folder of a dataset, or several.
+        follow_links: read files that are links out of their folder. The link of a file that is
+            repaired, and of the manifest, is replaced by a file; what it leads to stays as it is.
         progress: show a progress bar.
 
     Raises:
@@ -173,7 +175,7 @@ def repair(root: Locations, *, progress: bool = False) -> list[str]:
     folders = [target_folder(location) for location in locations(root)]
     remaining = []
     for folder in folders:
-        inspection = inspect(folder, progress=progress)
+        inspection = inspect(folder, follow_links=follow_links, progress=progress)
         remaining += [str(fault) for fault in repair_faults(inspection, progress=progress)]
     return remaining
 
@@ -283,15 +285,10 @@ def repair_faults(inspection: Inspection, *, progress: bool = False) -> list[Cor
     What killed writers left is removed, also if nothing has a fault.
 
     Raises:
-        ValueError: the dataset lies at a URL, or links were followed.
+        ValueError: the dataset lies at a URL.
         OSError: the disk is full, or the folder may not be written to.
     """
     root = target_folder(inspection.location)
-    if inspection.follow_links:
-        raise ValueError(
-            f"--follow-links: {root} is not repaired through links; copy it without links "
-            f"('cp -rL'), or build it again in another folder"
-        )
     manifest = inspection.manifest
     if manifest is None and all(LINK_REMEDY in fault.description for fault in inspection.faults):
         return list(inspection.faults)
@@ -319,7 +316,10 @@ def repair_faults(inspection: Inspection, *, progress: bool = False) -> list[Cor
             continue  # `sweep` removes it.
         else:
             remaining.append(fault)
-    repaired_entries, shard_faults = _repair_shards(root, manifest, repairable, progress)
+    follow_links = inspection.follow_links
+    repaired_entries, shard_faults = _repair_shards(
+        root, manifest, repairable, follow_links, progress
+    )
     remaining += shard_faults
     # The manifest keeps the entries of the shards that were not repaired.
     repaired = replace(manifest, shards=tuple(repaired_entries))
@@ -327,7 +327,7 @@ def repair_faults(inspection: Inspection, *, progress: bool = False) -> list[Cor
         # This is not merged, since the manifest on disk cannot be read.
         write_file(root / MANIFEST, union(repaired, manifest).to_json().encode())
     elif repaired_entries:
-        merge(root, repaired)
+        merge(root, repaired, follow_links=follow_links)
     if os.access(root, os.W_OK):
         # A shard is removed only if the longer one that replaces it is sound.
         unsound = {fault.path for fault in remaining}
@@ -337,7 +337,11 @@ def repair_faults(inspection: Inspection, *, progress: bool = False) -> list[Cor
 
 
 def _repair_shards(
-    root: Path, manifest: Manifest, faults: Mapping[Header, Corruption], progress: bool
+    root: Path,
+    manifest: Manifest,
+    faults: Mapping[Header, Corruption],
+    follow_links: bool,
+    progress: bool,
 ) -> tuple[list[Entry], list[Corruption]]:
     """Replace the shards that have faults.
 
@@ -345,6 +349,7 @@ def _repair_shards(
         root: folder of the dataset.
         manifest: of the dataset.
         faults: the fault of each shard that can be repaired.
+        follow_links: read files that are links out of the folder.
         progress: show a progress bar.
 
     Returns:
@@ -358,7 +363,7 @@ def _repair_shards(
     remaining = []
     map_count = sum(header.maps for header in faults)
     with bar(progress, map_count) as advance, thread_pool() as pool:
-        repair_header = partial(_repair_shard, root, stated_hashes, damaged)
+        repair_header = partial(_repair_shard, root, stated_hashes, damaged, follow_links)
         for header, entry in completed(pool, repair_header, faults):
             if entry is None:
                 remaining.append(_ask_for_import(faults[header]))
@@ -377,7 +382,11 @@ def _repair_shards(
 
 
 def _repair_shard(
-    root: Path, stated_hashes: Mapping[str, str], damaged: Set[Span], header: Header
+    root: Path,
+    stated_hashes: Mapping[str, str],
+    damaged: Set[Span],
+    follow_links: bool,
+    header: Header,
 ) -> Entry | None:
     """Build a shard from its recipe, or rewrite imported maps if the file still holds them.
 
@@ -385,17 +394,18 @@ def _repair_shard(
         root: folder of the dataset.
         stated_hashes: content hash of the shards that the manifest lists, by name.
         damaged: (start, stop) of the shards whose files may not be kept as they are.
+        follow_links: read a file that is a link out of the folder.
         header: of the shard.
 
     Returns:
         The entry of the new shard; None if imported maps are lost.
     """
     if header.generator is not None:
-        return build_shard(root, header, damaged=damaged)
+        return build_shard(root, header, damaged=damaged, follow_links=follow_links)
     if header.limits not in damaged:
-        return load_shard(root, header)
+        return load_shard(root, header, follow_links)
     try:
-        path = path_in(root, header.file_name)
+        path = path_in(root, header.file_name, follow_links)
         shard = map_shard(path).shard
         labels = sound_labels(shard)
     except (OSError, ShardError):

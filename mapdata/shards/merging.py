@@ -120,22 +120,25 @@ def is_growing(root: Path) -> bool:
     )
 
 
-def merge(root: Path, mine: Manifest, *, wait: bool = True) -> Manifest:
+def merge(root: Path, mine: Manifest, *, wait: bool = True, follow_links: bool = False) -> Manifest:
     """Write the union of the manifest ``mine`` and the manifest on disk, and return it.
 
     Shards that were replaced by shards with more maps are removed. While another builder merges,
-    wait for it, or do nothing and return ``mine`` without ``wait``.
+    wait for it, or do nothing and return ``mine`` without ``wait``. If ``follow_links``, a manifest
+    on disk that is a link out of ``root`` is read; the link is replaced by a file.
 
     Raises:
         ValueError: the manifest on disk is of another dataset.
     """
+    if follow_links and (root / LOCK).is_symlink():  # of a copy whose files are all links
+        (root / LOCK).unlink(missing_ok=True)
     with locked(root, wait) as has_lock:
-        return merge_locked(root, mine) if has_lock else mine
+        return merge_locked(root, mine, follow_links) if has_lock else mine
 
 
-def merge_locked(root: Path, mine: Manifest) -> Manifest:
+def merge_locked(root: Path, mine: Manifest, follow_links: bool = False) -> Manifest:
     """Do the work of `merge`; the caller holds the lock."""
-    theirs = read_manifest(root) if (root / MANIFEST).exists() else mine
+    theirs = read_manifest(root, follow_links) if (root / MANIFEST).exists() else mine
     merged = union(mine, theirs)
     write_file(root / MANIFEST, merged.to_json().encode())
     sweep(root, merged)

@@ -89,6 +89,39 @@ def test_types_of_pictures_are_read(mode: str, picture_format: str, tmp_path: Pa
     assert ros_map.cells.tolist() == CELLS
 
 
+@pytest.mark.parametrize(
+    ("colour", "mode", "unknown", "reason"),
+    [
+        (0, "trinary", None, "no cell is free: 80.0% of the picture is transparent, which no map"),
+        (255, "trinary", None, "80.0% of its cells are unknown, and 80.0% are transparent, which"),
+        (255, "scale", None, "80.0% of its cells are unknown, and 80.0% are transparent, which no"),
+        (255, "scale", "occupied", "no cell is free: 80.0% of the picture is transparent, which"),
+    ],
+)
+def test_free_space_that_is_transparent_is_named(
+    colour: int, mode: str, unknown: str | None, reason: str, tmp_path: Path
+) -> None:
+    """Programs that draw floor plans leave the paper transparent; both map servers count the alpha
+    as a colour or take the pixel for unknown.
+    """
+    pixels = np.full((5, 5, 4), (colour, colour, colour, 0), np.uint8)
+    pixels[0] = (0, 0, 0, 255)
+    Image.fromarray(pixels).save(tmp_path / "map.png")
+    path = write(tmp_path, (tmp_path / "map.png").read_bytes(), "map.png", mode=mode)
+    with pytest.raises(FormatError, match=re.escape(reason)):
+        read_any(path, unknown=unknown)
+
+
+def test_transparent_pixels_beside_free_ones_are_no_error(tmp_path: Path) -> None:
+    """The world around a building may be transparent, and is occupied then."""
+    pixels = np.full((5, 5, 4), 0, np.uint8)
+    pixels[1:4, 1:4] = 255
+    Image.fromarray(pixels).save(tmp_path / "map.png")
+    path = write(tmp_path, (tmp_path / "map.png").read_bytes(), "map.png")
+    (foreign_map,) = read_any(path).maps
+    assert foreign_map.grid.sum() == 16
+
+
 def slow(
     pixel: tuple[int, ...], white: int, mode: str, negate: bool, low: float, high: float
 ) -> int:
@@ -463,6 +496,8 @@ FIELDS = {
     "infinite": ({"resolution": ".inf"}, "expected a finite number"),
     "zero": ({"resolution": "0.0"}, "above 0"),
     "negative": ({"resolution": "-0.05"}, "above 0"),
+    "tiny": ({"resolution": "5e-324"}, "got 5e-324, expected metres per cell above 0, from 1e-09"),
+    "immense": ({"resolution": "1.0e+308"}, "resolution: got 1e\\+308, expected metres per cell"),
     "bool": ({"resolution": "true"}, "expected a finite number"),
     "huge": ({"resolution": "1" + "0" * 400}, "expected a finite number"),
     "text": ({"free_thresh": "low"}, "free_thresh is 'low'"),
@@ -743,6 +778,9 @@ def test_bad_resolutions_are_refused(tmp_path: Path, capsys: pytest.CaptureFixtu
     for flags, message in (
         (("--resolution", "0"), "resolution: got 0.0, expected metres per cell above 0"),
         (("--resolution", "nan"), "resolution: got nan, expected metres per cell above 0"),
+        (("--resolution", "inf"), "resolution: got inf, expected metres per cell above 0"),
+        (("--resolution", "5e-324"), "resolution: got 5e-324, expected metres per cell above 0"),
+        (("--resolution", "1e308"), "resolution: got 1e+308, expected metres per cell above 0"),
         (("--resolution", "1e-9"), "2 x 3 cells, too few or too many for cells 0 times as wide"),
         (("--resolution", "0.2"), "2 x 3 cells, too few or too many for cells 4 times as wide"),
         (("--ros.resample", "any"), "resample: does nothing without resolution"),

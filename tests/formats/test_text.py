@@ -10,7 +10,7 @@ from helpers.wild import Bytes, cli
 from PIL import Image
 
 from mapdata import MapDataset, read_shard
-from mapdata.formats import FormatError, Limits, read_any, recognise
+from mapdata.formats import FormatError, Limits, files, read_any, recognise
 from mapdata.formats.text import read
 
 GRID: Bytes = np.array([[1, 1, 1, 1], [1, 0, 0, 1], [1, 0, 1, 1]], np.uint8)
@@ -47,6 +47,20 @@ def test_other_tables(tmp_path: Path) -> None:
     assert read_any(path, invert=True).maps[0].grid.tolist() == [[0, 0], [1, 0]]
     path.write_text("true")
     assert "cell (0, 0) is 't'" in read(path).left_out[0][1]
+
+
+@pytest.mark.parametrize("name", ["many.txt", "many.npy"])
+def test_a_bar_counts_the_maps_of_a_long_file_on_request(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without the request nothing is shown; half a million maps take half a minute."""
+    monkeypatch.setattr(files, "_LONG", 3)
+    (tmp_path / "many.txt").write_text("01\n00\n\n00\n00\n\n00\n10\n")
+    np.save(tmp_path / "many.npy", np.zeros((3, 2, 2), np.uint8))
+    read_any(tmp_path / name)
+    assert capsys.readouterr().err == ""
+    read_any(tmp_path / name, limits=Limits(progress=True))
+    assert "3/3 [00:00<00:00" in capsys.readouterr().err
 
 
 def test_a_maze_has_start_and_goal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -750,6 +750,22 @@ def test_paths_of_a_batch_outside_its_problems_or_maps() -> None:
     assert len(empty) == 4  # the four arrays, as they were
 
 
+@pytest.mark.parametrize("k", [1.0, slice(None), "0", None, (0, 1)])
+def test_a_path_is_asked_for_by_its_number(k: Any) -> None:
+    """The error names what gives several paths."""
+    batch = search_batch("astar", np.zeros((1, 3, 4), np.uint8), [(0, 0)], [(0, 3)])
+    with pytest.raises(TypeError, match=r"expected the number of a problem; paths\(\) returns"):
+        batch.path(k)
+
+
+@pytest.mark.parametrize("shape", [(4,), 4, (), (3.0, 4.0), (0, 4), (-3, 4), None, "34"])
+def test_masks_have_the_shape_of_maps(shape: Any) -> None:
+    """A shape of one number, of other numbers than whole ones, or none at all is refused."""
+    batch = search_batch("astar", np.zeros((1, 3, 4), np.uint8), [(0, 0)], [(0, 3)])
+    with pytest.raises(ValueError, match=r"^shape: got .*, expected \(H, W\) or \(B, H, W\)"):
+        batch.masks(shape)
+
+
 # --- costs of any scale -------------------------------------------------------------------------
 
 
