@@ -131,7 +131,7 @@ def read_text(path: Path, limits: Limits = LIMITS) -> str:
     content = read_bytes(path, limits)
     hint = hint_on_content(content[:64], text_expected=True)
     if b"\0" in content[:4096] or hint:
-        raise FormatError(f"{path}: not a text file{hint}")
+        raise FormatError(f"{path}: not text in UTF-8{hint}")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:

@@ -71,6 +71,12 @@ _NUMBERS = re.compile(r"[-+.0-9eE,;\t naifNAIF]+")
 
 _DIGIT = re.compile("[0-9]")
 
+_EXCEL = re.compile("sep=.", re.IGNORECASE)
+"""A first line that Excel writes and reads."""
+
+_SIZE = re.compile(r"\s*[0-9]{1,5}([\s,;x]+[0-9]{1,5})?\s*")
+"""The size of a map, on one line or two."""
+
 _FIELD = re.compile(r"[^,;\s]+")
 """A number of a row."""
 
@@ -213,6 +219,9 @@ def _parsed(
     seed_points: Ints = np.empty((0, 2), np.int64)
     rooms_known = False
     lines = _without_comments(lines)
+    surplus = _surplus(lines)
+    if surplus:
+        raise FormatError(f"{name}: {surplus}")
     if _is_row_of_table(lines[0]):
         numbers = _table(name, lines)
         if len(numbers) > 1 and numbers.shape[1] > 2 and _counts_columns(numbers[0]):
@@ -238,6 +247,41 @@ def _parsed(
         grid = 1 - grid
         grid[tuple(seed_points.T)] = 0
     return ForeignMap(name, grid, split, seed_points=seed_points, rooms_known=rooms_known)
+
+
+def _surplus(lines: list[str]) -> str:
+    """Return a sentence on what other programs write into a table or before it; empty if nothing.
+
+    Such files would otherwise be refused for a letter or for the length of a row.
+    """
+    first = lines[0].strip()
+    if _EXCEL.fullmatch(first):
+        return f"row 0 is {first!r}, which tells Excel the separator: remove this line"
+    if first.lower().startswith("type "):
+        return "looks like a map of MovingAI: its name should end with .map"
+    plain = first.replace('"', "").replace("'", "")
+    if {field.strip().lower() for field in _fields(plain)} <= {"true", "false"}:
+        return "is a table of True and False: values.astype(int) makes 1 and 0 of them"
+    if plain != first and _is_row_of_table(plain):
+        return "its numbers stand in quotes: values.astype(int) makes numbers of texts"
+    for count in (1, 2):
+        if _is_size(lines[:count], lines[count:]):
+            return f"begins with its size, {' '.join(lines[:count])!r}: remove what is above row 0"
+    return ""
+
+
+def _is_size(above: list[str], below: list[str]) -> bool:
+    """Return whether lines above a map give its rows and columns, in either order."""
+    text = " ".join(above)
+    if not below or not _SIZE.fullmatch(text):
+        return False
+    numbers = [int(number) for number in re.findall("[0-9]+", text)]
+    if len(numbers) == 1:  # of a square map
+        numbers *= 2
+    is_table = _is_row_of_table(below[0]) and not _DIGITS.fullmatch(below[0])
+    rows = len(below)
+    columns = len(_fields(below[0]) if is_table else _without_separators(below)[0])
+    return sorted(numbers) == sorted((rows, columns)) != [1, 1]
 
 
 def _without_comments(lines: list[str]) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +46,7 @@ def test_other_tables(tmp_path: Path) -> None:
     path.write_text("1,1,\n0,1,\n", encoding="utf-8-sig")
     assert read_any(path).maps[0].grid.tolist() == [[1, 1], [0, 1]]
     assert read_any(path, invert=True).maps[0].grid.tolist() == [[0, 0], [1, 0]]
-    path.write_text("true")
+    path.write_text("t")
     assert "cell (0, 0) is 't'" in read(path).left_out[0][1]
 
 
@@ -227,17 +228,17 @@ def test_a_file_may_hold_several_maps(tmp_path: Path, capsys: pytest.CaptureFixt
         ),
         (
             "version https://git-lfs.github.com/spec/v1\n",
-            "not a text file; it looks like a pointer of",
+            "not text in UTF-8; it looks like a pointer of",
         ),
         (
             "<!DOCTYPE html>\n<html>\n",
-            "not a text file; it looks like a web page: download the file",
+            "not text in UTF-8; it looks like a web page: download the file",
         ),
         ("0.5 0.1\n0 1\n", "holds values between 0 and 1, expected only 0 and 1; it looks like p"),
         ("1 nan\n0 1\n", "holds values from nan to nan, expected 0 to 1; it looks like cells with"),
         ("##\n#\n", "row 1 has 1 letters, expected 2 as in row 0 (many editors remove spaces"),
         ("#SS\n...\n", "has 2 letters S, expected at most one"),
-        ("#\0#\n", "not a text file"),
+        ("#\0#\n", "not text in UTF-8"),
         ("0 " * 9 + "\n", "has 1 x 9 pixels, expected at most 8 in all; --max-pixels sets"),
         ("#" * 9 + "\n", "has 1 x 9 pixels, expected at most 8 in all"),
         ("1" * 9 + "\n", "has 1 x 9 pixels, expected at most 8 in all"),
@@ -252,6 +253,57 @@ def test_what_is_no_map_is_left_out_with_the_reason(text: str, reason: str, tmp_
     ((_, said),) = collection.left_out
     assert reason in said
     assert "\n" not in said
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (
+            "True,False\nFalse,True\n",
+            "is a table of True and False: values.astype(int) makes 1 and",
+        ),
+        ("true\nfalse\n", "is a table of True and False: values.astype(int) makes 1 and 0 of"),
+        ('"True" "False"\n', "is a table of True and False: values.astype(int) makes 1 and 0 of"),
+        ('"0","1"\n"1","0"\n', "its numbers stand in quotes: values.astype(int) makes numbers of"),
+        ("'0';'1'\n'1';'0'\n", "its numbers stand in quotes: values.astype(int) makes numbers of"),
+        ("sep=;\n0;1\n", "row 0 is 'sep=;', which tells Excel the separator: remove this line"),
+        ("2 3\n0 1 0\n0 0 0\n", "begins with its size, '2 3': remove what is above row 0"),
+        ("3 2\n0 1 0\n0 0 0\n", "begins with its size, '3 2': remove what is above row 0"),
+        ("2\n3\n010\n000\n", "begins with its size, '2 3': remove what is above row 0"),
+        ("2x3\n#.#\n...\n", "begins with its size, '2x3': remove what is above row 0"),
+        ("2\n# #\n. .\n", "begins with its size, '2': remove what is above row 0"),
+        ("type octile\nheight 2\n", "looks like a map of MovingAI: its name should end with .map"),
+    ],
+)
+def test_what_other_programs_write_is_named(text: str, reason: str, tmp_path: Path) -> None:
+    """One sentence says what the file is and what to do, with and without --format."""
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    with pytest.raises(FormatError, match=f"a.csv: {re.escape(reason)}"):
+        read_any(path, "text")
+    with pytest.raises(FormatError, match=f"--format text refuses a.csv: {re.escape(reason)}"):
+        read_any(path)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be"])
+def test_text_in_utf_16_is_named(encoding: str, tmp_path: Path) -> None:
+    """PowerShell redirects output to such files."""
+    path = tmp_path / "a.csv"
+    path.write_text("\ufeff0,1\n1,0\n", encoding=encoding)
+    with pytest.raises(
+        FormatError, match=r"not text in UTF-8; it looks like text in UTF-16.*: save"
+    ):
+        read_any(path)
+
+
+@pytest.mark.parametrize(
+    "text", ["1\n0\n", "1\n1\n", "1 1\n1 1\n", "10\n01\n", "11\n" * 11, "1 0\n0 1\n"]
+)
+def test_a_table_without_its_size_is_read(text: str, tmp_path: Path) -> None:
+    """Its first rows could be taken for a size, but do not fit."""
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    assert read_any(path, "text").maps[0].shape[0] == text.count("\n")
 
 
 @pytest.mark.parametrize(
