@@ -81,7 +81,7 @@ def summary(
         lines["generator"] = generator_text(manifest.generator)
         lines["seed"] = str(manifest.seed)
     lines["movement"] = movement_text(manifest.movement, manifest.has_terrain)
-    lines["resolution"] = f"{manifest.resolution:g} m per cell"
+    lines["resolution"] = _resolution_text(root, manifest, follow_links)
     if manifest.generator is None:
         lines |= _import_summary(root, manifest, follow_links)
     if manifest.has_terrain:
@@ -113,8 +113,20 @@ def one_line(root: str, manifest: Manifest) -> str:
     rows, columns = manifest.map_size
     return (
         f"{root}: {counted(manifest.done, 'map')} of {rows} x {columns} cells, "
-        f"{manifest.resolution:g} m per cell; {_split_text(manifest)}"
+        f"{_resolution_text(root, manifest)}; {_split_text(manifest)}"
     )
+
+
+def _resolution_text(root: str, manifest: Manifest, follow_links: bool = False) -> str:
+    """Return the metres per cell, and whether an import has assumed them."""
+    from mapdata.shards.dataset_files import read_provenance
+
+    text = f"{manifest.resolution:g} m per cell"
+    if manifest.generator is None:
+        with suppress(OSError, ValueError, TypeError, KeyError):  # as in `_import_summary`
+            if read_provenance(root, follow_links).get("resolution_assumed"):
+                text += " assumed; import with --resolution to state it"
+    return text
 
 
 def _split_text(manifest: Manifest) -> str:
@@ -308,6 +320,8 @@ def add_flag(
         settings = {"type": whole_number, "metavar": "N"}
     elif annotation is float:
         settings = {"type": float, "metavar": "X"}
+    elif float in get_args(annotation):  # of float | Literal["local"]: a number or a word
+        settings = {"type": _number_or_word(annotation), "metavar": "X"}
     elif annotation == Literal[True]:  # of Literal[True] | str: the text may be omitted
         settings = {"nargs": "?", "const": True, "metavar": upper_name}
     elif origin is list:
@@ -442,6 +456,23 @@ def unused_name(name: str) -> str:
         name = f"{stem}-{number}{ending}"
         number += 1
     return name
+
+
+def _number_or_word(annotation: Any) -> Callable[[str], float | str]:
+    """Return what converts the text of a flag to a number or one of the words of a type."""
+    words = [word for member in get_args(annotation) for word in get_args(member)]
+
+    def converted(text: str) -> float | str:
+        if text in words:
+            return text
+        try:
+            return float(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(
+                f"got {text!r}, expected a number or {' or '.join(words)}"
+            ) from None
+
+    return converted
 
 
 def _map_size(text: str) -> tuple[int, int]:

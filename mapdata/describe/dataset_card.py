@@ -289,6 +289,8 @@ def _import_section(location: str, rooms_known: bool, follow_links: bool) -> Sec
         count = provenance.get("seeds", "?")
         seed = provenance.get("seed", "?")
         text += f"Up to {count} seed points a map were drawn with seed {seed}. "
+    if provenance.get("resolution_assumed"):
+        text += "The source states no resolution; it was assumed. "
     text += (
         "The maps are those of the source; paths, iterations and matrices were computed by mapdata."
     )

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image, ImageFilter, UnidentifiedImageError
 
 from mapdata.arrays import Array, Bytes, Flags
 from mapdata.checks import check_probability, check_sides
@@ -34,6 +34,7 @@ from mapdata.formats.files import (
 )
 from mapdata.formats.registry import Format
 from mapdata.formats.shrinking import FreeSpace, any_occupied, check_free
+from mapdata.generators.points import count_components
 from mapdata.hints import hint_on_content
 from mapdata.limits import Size
 from mapdata.npy import FormatError, Npz, StoredArray, open_npy, refusing
@@ -56,6 +57,24 @@ _MIN_SHARE = 0.01
 
 _MIN_INSIDE = 0.2
 """Share of free cells that are left inside of a plan, below which a note doubts the result."""
+
+_WINDOW = 1 / 8
+"""Width of the square around a pixel whose mean it is compared with, of the longer side."""
+
+_DARKER = 0.25
+"""Share by which a pixel has to be darker than this mean to count as dark."""
+
+_NEAR = 0.1
+"""Distance in brightness from the threshold below which noise decides about a pixel."""
+
+_MIN_NEAR = 0.02
+"""Share of pixels near the threshold from which on a picture may be a photo."""
+
+_SPECK_CELLS = 4
+"""Components of fewer cells are specks."""
+
+_MIN_SPECKS = 20
+"""Number of specks from which on a picture may be a photo."""
 
 _PHOTOMETRIC = 262
 """The TIFF tag of the meaning of pixel values. If it is 0, a pixel of 0 is white."""
@@ -193,7 +212,7 @@ def read(
     source: Path,
     limits: Limits = LIMITS,
     *,
-    threshold: float = 0.5,
+    threshold: float | Literal["local"] = 0.5,
     invert: bool = False,
     unknown: Literal["occupied", "free"] | None = None,
     outside: Literal["occupied", "free"] | None = None,
@@ -212,7 +231,8 @@ def read(
         source: folder or file.
         limits: of what is read.
         threshold: number in [0, 1]: in pictures, cells of a higher brightness are free; in arrays,
-            cells of a higher probability are occupied.
+            cells of a higher probability are occupied; or, for photos with shadows, local: a pixel
+            is dark if it is a quarter darker than the mean around it.
         invert: exchange free and occupied cells.
         unknown: state of unknown cells (grey 205) in a robot's map without its .yaml file; without
             this option, such pictures are left out.
@@ -229,7 +249,8 @@ def read(
         FormatError: nothing there. A bad file among others is left out, with the reason.
         ValueError: arguments.
     """
-    check_probability("threshold", threshold)
+    is_local = threshold == "local"
+    level = 0.5 if is_local else check_probability("threshold", threshold)
     if size is not None:
         check_sides("size", size)
     elif fit is not None:
@@ -239,6 +260,7 @@ def read(
     collection = Collection()
     unknown_shares = []
     inside_shares: dict[str, float] = {}
+    photos: dict[str, tuple[float, int]] = {}
     free_space = FreeSpace()
     has_archive = False
     for path in files_with_endings(source, (*PICTURES, *ARRAYS), limits, collection):
@@ -246,11 +268,13 @@ def read(
         with collection.leaving_out(path):
             split = split_from_folders(path, source)
             if path.suffix.lower() in ARRAYS:
+                if is_local:
+                    raise FormatError(f"{path}: --images.threshold local is for pictures alone")
                 stored = _open_stack(path, limits, array)
-                check_grids(stored, limits, threshold)
+                check_grids(stored, limits, level)
                 count = len(stored) if len(stored.shape) > 2 else 1
                 with maps_bar(limits, count) as advance:
-                    for number, grid in enumerate(read_grids(stored, threshold)):
+                    for number, grid in enumerate(read_grids(stored, level)):
                         name = f"{path}[{number}]" if count > 1 else str(path)
                         cells = 1 - grid if invert else grid
                         if outside == "occupied":
@@ -264,19 +288,24 @@ def read(
             else:
                 grey = brightness(read_pixels(path, limits, upright=True))
                 is_unknown = _unknown_pixels(grey)
-                _check_picture(path, grey, is_unknown, threshold, unknown)
+                if is_local:
+                    grey = _without_shadows(grey, invert)
+                _check_picture(path, grey, is_unknown, level, unknown)
                 if unknown is not None:
                     # Unknown pixels are replaced before the picture is scaled, so that a cell that
                     # they cover by half counts as half unknown.
                     is_white = (unknown == "free") != invert
                     grey[is_unknown] = 255 if is_white else 0
-                cells = _cells_of_picture(grey, threshold, invert)
+                cells = _cells_of_picture(grey, level, invert)
+                near, specks = _noise(grey, cells, level)
+                if near >= _MIN_NEAR and specks >= _MIN_SPECKS:
+                    photos[str(path)] = near, specks
                 if outside == "occupied":
                     is_outside = _outside(cells)
                     inside_shares[str(path)] = 1 - is_outside.sum() / (cells == 0).sum()
                     grey[is_outside] = 255 if invert else 0
-                    cells = _cells_of_picture(grey, threshold, invert)
-                mean = partial(_mean_of_picture, grey, threshold, invert)
+                    cells = _cells_of_picture(grey, level, invert)
+                mean = partial(_mean_of_picture, grey, level, invert)
                 sized = _sized(cells, mean, size, fit, resample, free_space)
                 unknown_shares.append(is_unknown.mean())
                 collection.maps.append(ForeignMap(str(path), sized, split))
@@ -293,6 +322,7 @@ def read(
         )
     note_free_cells(collection, free_cells, advice)
     collection.notes += _notes_on_outside(inside_shares)
+    collection.notes += _notes_on_photos(photos)
     if unknown is not None and any(unknown_shares):
         share = percent(float(np.mean(unknown_shares)))
         collection.notes.append(f"{share} of the cells were unknown and are now {unknown}")
@@ -323,6 +353,61 @@ def _check_picture(
         )
     if unknown is None and is_unknown.any() and threshold * 255 < UNKNOWN:
         raise FormatError(f"{path}: {_unknown_advice(path, is_unknown)}")
+
+
+def _without_shadows(grey: Bytes, invert: bool) -> Bytes:
+    """Return a picture of 0 and 255, in which each pixel is compared with the mean around it.
+
+    So a shadow or a lamp changes a pixel and what it is compared with alike. The inside of a dark
+    area that is wider than the square becomes bright.
+
+    Source: Bradley and Roth, "Adaptive thresholding using the integral image", 2007.
+
+    Args:
+        grey: (H, W) brightness, 255 white.
+        invert: whether bright pixels are occupied; they have to be brighter than the mean then.
+    """
+    lines_dark = 255 - grey if invert else grey
+    radius = max(1, round(max(grey.shape) * _WINDOW / 2))
+    mean = np.asarray(Image.fromarray(lines_dark).filter(ImageFilter.BoxBlur(radius)))
+    is_dark = lines_dark <= mean * (1 - _DARKER)
+    return np.where(is_dark != invert, 0, 255).astype(np.uint8)
+
+
+def _noise(grey: Bytes, cells: Bytes, threshold: float) -> tuple[float, int]:
+    """Return how much of a picture noise may have decided.
+
+    Args:
+        grey: (H, W) brightness, 255 white.
+        cells: (H, W) of 0 and 1, which the picture became.
+        threshold: brightness in [0, 1] above which a cell is bright.
+
+    Returns:
+        The share of pixels within `_NEAR` of the threshold, and the number of specks, which are not
+        counted where few pixels are near.
+    """
+    lowest, highest = (threshold - _NEAR) * 255, (threshold + _NEAR) * 255
+    near = float(((grey >= lowest) & (grey <= highest)).mean())
+    if near < _MIN_NEAR:
+        return near, 0
+    specks = [
+        count_components(of_one_kind, 2, 1) - count_components(of_one_kind, 2, _SPECK_CELLS)
+        for of_one_kind in (cells, 1 - cells)
+    ]
+    return near, int(sum(specks))
+
+
+def _notes_on_photos(photos: dict[str, tuple[float, int]]) -> list[str]:
+    """Return a note on the pictures that seem to be photos or scans, with what `_noise` found."""
+    if not photos:
+        return []
+    first, (near, specks) = next(iter(photos.items()))
+    subject = f"{first} looks" if len(photos) == 1 else f"{first} and {len(photos) - 1} more look"
+    return [
+        f"{subject} like a photo: {percent(near)} of the pixels are within {_NEAR} of "
+        f"the threshold, and {specks:,} components have fewer than {_SPECK_CELLS} cells; "
+        "--images.threshold local compares each pixel with the mean around it"
+    ]
 
 
 def _outside(cells: Bytes) -> Flags:

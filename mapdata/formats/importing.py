@@ -180,7 +180,8 @@ def import_maps(
             separated = separate(numbered, split_codes, drop_leaks, source.notes)
             kept_maps = [numbered[k] for k in separated.kept]
             advance(len(numbered) - len(kept_maps))
-            origin = _origin(source, kept_maps, separated, draws)
+            is_stated = resolution is not None or all(kept.resolution for kept in kept_maps)
+            origin = _origin(source, kept_maps, separated, draws, is_stated)
             plan = Manifest(
                 generator=None,
                 seed=None,
@@ -421,7 +422,11 @@ def _numbered(maps: list[ForeignMap], source: Collection) -> list[ForeignMap]:
 
 
 def _origin(
-    source: Collection, maps: list[ForeignMap], separated: Separated, draws: Draws
+    source: Collection,
+    maps: list[ForeignMap],
+    separated: Separated,
+    draws: Draws,
+    resolution_is_stated: bool,
 ) -> dict[str, Any]:
     """Return the content of ``import.json``: facts of a dataset that its shards do not hold."""
     cells = len(maps) * prod(maps[0].shape)
@@ -434,6 +439,8 @@ def _origin(
         "seed": draws.seed,
         "sources": [foreign_map.name for foreign_map in maps],
     }
+    if not resolution_is_stated:
+        origin["resolution_assumed"] = True
     if source.format is not None:
         origin = {"format": source.format, "source": source.source, **origin}
     return origin

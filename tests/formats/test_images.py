@@ -128,6 +128,79 @@ def test_pixels_above_the_threshold_are_free(tmp_path: Path) -> None:
             read_any(tmp_path, **options)
 
 
+def floor_plan() -> tuple[Bytes, Bytes]:
+    """Return a photo of a floor plan, (H, W) brightness, and the plan, 1 where a wall is drawn.
+
+    A shadow lies on its lower right corner, and the camera adds noise.
+    """
+    plan: Bytes = np.zeros((150, 200), np.uint8)
+    for wall in (np.s_[15:20, 15:185], np.s_[130:135, 15:185], np.s_[72:75, 15:185]):
+        plan[wall] = 1
+    for wall in (np.s_[15:135, 15:20], np.s_[15:135, 180:185], np.s_[15:135, 90:93]):
+        plan[wall] = 1
+    for door in (np.s_[30:50, 88:95], np.s_[100:120, 88:95], np.s_[70:77, 40:60]):
+        plan[door] = 0
+    row, column = np.indices(plan.shape)
+    light = 0.95 - 0.65 * (0.6 * column / 200 + 0.4 * row / 150)
+    noise = np.random.default_rng(0).normal(0, 5, plan.shape)
+    photo = np.where(plan, 0.12, 1.0) * light * 255 + noise
+    return np.clip(photo, 0, 255).astype(np.uint8), plan
+
+
+def test_a_photo_is_named_with_its_noise(tmp_path: Path) -> None:
+    """The note has the share of pixels near the threshold and the number of specks."""
+    photo, plan = floor_plan()
+    Image.fromarray(photo).save(tmp_path / "photo.png")
+    collection = read(tmp_path)
+    (foreign_map,) = collection.maps
+    assert (foreign_map.grid != plan).mean() > 0.15
+    near = (np.abs(photo / 255 - 0.5) <= 0.1).mean()
+    specks = 0
+    for kind in (0, 1):
+        labels, _ = ndimage.label(foreign_map.grid == kind, np.ones((3, 3)))
+        specks += int((np.bincount(labels.ravel())[1:] < 4).sum())
+    assert (
+        f"{tmp_path / 'photo.png'} looks like a photo: {near:.1%} of the pixels are within 0.1 of "
+        f"the threshold, and {specks:,} components have fewer than 4 cells; --images.threshold "
+        "local compares each pixel with the mean around it"
+    ) in collection.notes
+    Image.fromarray(photo).save(tmp_path / "second.png")
+    assert any("photo.png and 1 more look like a photo" in note for note in read(tmp_path).notes)
+
+
+@pytest.mark.parametrize("invert", [False, True])
+def test_a_local_threshold_ignores_shadows(invert: bool, tmp_path: Path) -> None:
+    """Walls and rooms of a photo are those of the plan; of its negative they are, too."""
+    photo, plan = floor_plan()
+    Image.fromarray(255 - photo if invert else photo).save(tmp_path / "photo.png")
+    collection = read(tmp_path, threshold="local", invert=invert)
+    assert (collection.maps[0].grid != plan).mean() < 0.005
+    assert not any("like a photo" in note for note in collection.notes)
+
+
+def test_a_clean_plan_is_no_photo(tmp_path: Path) -> None:
+    """Its lines have soft edges, whose pixels are near the threshold."""
+    _, plan = floor_plan()
+    soft = ndimage.uniform_filter(np.where(plan, 0.0, 255.0), 2)
+    Image.fromarray(soft.astype(np.uint8)).save(tmp_path / "plan.png")
+    assert not any("like a photo" in note for note in read(tmp_path).notes)
+
+
+def test_a_local_threshold_is_for_pictures_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Probabilities have no shadows; another word than local is no threshold."""
+    np.save(tmp_path / "a.npy", np.full((4, 5), 0.25))
+    local = ("--images.threshold", "local")
+    code, _, err = cli(capsys, "import", tmp_path / "a.npy", tmp_path / "out", *local)
+    assert code == 2
+    assert "a.npy: --images.threshold local is for pictures alone" in err
+    other = ("--images.threshold", "global")
+    code, _, err = cli(capsys, "import", tmp_path / "a.npy", tmp_path / "out", *other)
+    assert code == 2
+    assert "--images.threshold: got 'global', expected a number or local" in err
+
+
 def test_resize_and_crop(tmp_path: Path) -> None:
     """Resizing keeps blocks of equal pixels, cropping takes the middle, and pictures that are too
     small to crop are left out.

@@ -85,6 +85,7 @@ def test_a_dataset_of_grids(tmp_path: Path) -> None:
         "distinct_up_to_symmetry": counts,
         "seeds": 4,
         "seed": 2**63 + 1,
+        "resolution_assumed": True,
         "sources": [f"g{k}" for k in range(7)],
     }
 
@@ -506,6 +507,22 @@ def test_imported_maps_are_not_built_again(tmp_path: Path) -> None:
             make(tmp_path / "maps", "dungeon")
 
 
+def test_a_resolution_that_is_stated_is_not_called_assumed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the user or the source; the card says which of its facts was assumed."""
+    np.save(tmp_path / "a.npy", np.zeros((4, 5), np.uint8))
+    assumed = "The source states no resolution; it was assumed."
+    cli(capsys, "import", tmp_path / "a.npy", tmp_path / "bare")
+    assert assumed in card(tmp_path / "bare")
+    _, out, _ = cli(capsys, "import", tmp_path / "a.npy", tmp_path / "out", "--resolution", 0.1)
+    assert "resolution:           0.1 m per cell\n" in out
+    assert assumed not in card(tmp_path / "out")
+    source = collection(np.zeros((4, 5), np.uint8), resolution=0.1)
+    (dataset,) = import_maps(tmp_path / "stated", source)
+    assert assumed not in card(dataset.root)
+
+
 def test_an_import_of_several_sizes_prints_a_line_for_each(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -516,9 +533,10 @@ def test_an_import_of_several_sizes_prints_a_line_for_each(
     code, out, _ = cli(capsys, "import", tmp_path / "in", tmp_path / "out")
     assert code == 0
     lines = [line for line in out.splitlines() if not line.startswith("note:")]
+    assumed = "0.1 m per cell assumed; import with --resolution to state it"
     assert lines == [
-        f"{tmp_path}/out/4x5: 1 map of 4 x 5 cells, 0.1 m per cell; train 1, val 0, test 0",
-        f"{tmp_path}/out/4x6: 2 maps of 4 x 6 cells, 0.1 m per cell; train 2, val 0, test 0",
-        f"{tmp_path}/out/4x7: 3 maps of 4 x 7 cells, 0.1 m per cell; train 1, val 1, test 1",
+        f"{tmp_path}/out/4x5: 1 map of 4 x 5 cells, {assumed}; train 1, val 0, test 0",
+        f"{tmp_path}/out/4x6: 2 maps of 4 x 6 cells, {assumed}; train 2, val 0, test 0",
+        f"{tmp_path}/out/4x7: 3 maps of 4 x 7 cells, {assumed}; train 1, val 1, test 1",
         "3 datasets, one for each size and resolution: 'mapdata info' tells more of each",
     ]

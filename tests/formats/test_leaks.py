@@ -123,7 +123,7 @@ def test_info_of_an_import_shows_splits_movement_and_source(
     assert info.splitlines()[1:6] == [
         "splits:               train 1, val 0, test 0",
         "movement:             4-connected: north, east, south, west, each at cost 1",
-        "resolution:           0.1 m per cell",
+        "resolution:           0.1 m per cell assumed; import with --resolution to state it",
         "free cells:           75.0%",
         f"source:               {tmp_path / 'plan.npy'}, format images",
     ]
