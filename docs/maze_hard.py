@@ -22,7 +22,7 @@ from scipy.stats import ks_2samp
 from mapdata import Movement, astar, bfs, distance_field
 from mapdata.arrays import Array, Bytes, Flags, Float32s, Floats, Ints
 from mapdata.datasets.text import CHARACTERS, LABEL_ORDER, first_optimal_paths
-from mapdata.formats.maze_answers import MOVES
+from mapdata.formats.maze_questions import MOVES
 
 SPLITS = ("train", "test")
 

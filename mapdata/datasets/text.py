@@ -11,12 +11,8 @@ from mapdata.arrays import Array, Bytes, Flags, Float32s, Ints
 from mapdata.checks import check_choice
 from mapdata.datasets.field_kernels import PADDING
 from mapdata.datasets.sample import Sample
-from mapdata.formats.maze_answers import (
-    INFEASIBLE,
-    MOVES,
-    letters_of_path,
-    words_of_letters,
-)
+from mapdata.formats.maze_answers import letters_of_path, words_of_letters
+from mapdata.formats.maze_questions import INFEASIBLE, MOVES
 from mapdata.search.api import astar
 
 CHARACTERS = "# SGo"

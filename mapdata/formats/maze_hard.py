@@ -20,7 +20,8 @@ import numpy as np
 
 from mapdata.formats.collection import Collection, ForeignMap
 from mapdata.formats.files import LIMITS, SPLIT_NAMES, Limits, check_file, files_with_endings
-from mapdata.formats.maze_answers import is_shortest_answer, parse_question
+from mapdata.formats.maze_answers import is_shortest_answer
+from mapdata.formats.maze_questions import parse_question
 from mapdata.formats.registry import Format
 from mapdata.movement import Movement
 from mapdata.npy import FormatError

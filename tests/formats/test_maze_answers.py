@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 import itertools
+import random
 from typing import Any
 
 import networkx as nx  # type: ignore[import-untyped]
 import numpy as np
 import pytest
+import torch
+from helpers.answer_texts import (
+    cells_of,
+    distances,
+    draw_maze,
+    draw_walk,
+    marked_rows,
+    score_of_marks,
+)
 from helpers.wild import SETTINGS
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapdata import Maze, astar, generate
-from mapdata.formats import FormatError, check_answer, is_shortest_answer, score_answer
+from mapdata import Maze, generate
+from mapdata.formats import AnswerCheck, check_answer, is_shortest_answer, score_answer
 
 CHARSET = "# SGo"
 
@@ -41,10 +51,12 @@ WIDE = "S   \n    \n   G"
         (QUESTION, SHORTEST, 1),
         (QUESTION, OTHER_SHORTEST, 1),
         (QUESTION, "right right right right down down", 1),
-        (QUESTION, "Down, down, RIGHT, right,right right", 1),
+        (QUESTION, "Down, down, RIGHT, right,right, right", 1),
+        (QUESTION, "Down, down, RIGHT, right,right right", 0),
         (QUESTION, "down\ndown\nright\nright\nright\nright", 1),
         (QUESTION, "DDRRRR", 1),
-        (QUESTION, "D D, R R R R\n", 1),
+        (QUESTION, "D D R R R R\n", 1),
+        (QUESTION, "D D, R R R R\n", 0),
         (CLOSED, "infeasible", 1),
         (CLOSED, "  Infeasible\n", 1),
         # Longer paths.
@@ -75,11 +87,15 @@ WIDE = "S   \n    \n   G"
         ("SG##", "SG##", 1),
         ("SG\n##", "SG\n##\nright", 1),
         (QUESTION, f"{QUESTION}\n{SHORTEST}", 1),
+        (QUESTION, f"{FENCE.format(QUESTION)}\nThe path:\n{FENCE.format(SHORTEST)}", 1),
+        (QUESTION, f"{FENCE.format(SHORTEST)}\n{FENCE.format(QUESTION)}", 1),
         (QUESTION, f"{FENCE.format(SHORTEST)}\nThe maze was:\n{FENCE.format(QUESTION)}", 1),
         # Text around the answer is ignored, in lines of its own.
-        (QUESTION, f"The path goes down first:\n\n{OTHER_SHORTEST}\n\nDone.", 1),
-        (QUESTION, "First I tried\nRRRRR\nwhich fails. So\nRRRRDD\nis the answer.", 1),
-        (QUESTION, "First I tried\nRRRRDD\nwhich fails. So\nRRRRR\nis the answer.", 0),
+        (QUESTION, f"The path goes down first:\n\n{OTHER_SHORTEST}\n", 1),
+        (QUESTION, f"The path goes down first:\n\n{OTHER_SHORTEST}\n\nDone.", 0),
+        (QUESTION, "First I tried\nRRRRR\nwhich fails. So\nRRRRDD", 0),
+        (QUESTION, "First I tried\nRRRRR\nwhich fails. So\nAnswer: RRRRDD", 1),
+        (QUESTION, "First I tried\nRRRRDD\nwhich fails. So\nAnswer: RRRRR", 0),
         (QUESTION, "The answer may be RRRRDD", 0),
         # Behind a label in one line, or between marks, as chat models write it.
         (QUESTION, "Answer: RRRRDD", 1),
@@ -98,13 +114,18 @@ WIDE = "S   \n    \n   G"
         (QUESTION, "RRRRDD<|im_end|>", 1),
         (QUESTION, "<answer>RRRRDD</answer></s>", 1),
         (CLOSED, "Answer: infeasible", 1),
-        # A label separates its answer from the lines before it, and not from those after it.
+        # A label decides against lines before it, and not against those after it.
         (QUESTION, "RRR\nAnswer: RRRRDD", 1),
-        (QUESTION, "Answer: RRR\nRDD", 1),
+        (QUESTION, "Answer: RRR\nRDD", 0),
+        (QUESTION, "Answer: RRRRDD\nRRRRDD", 0),
+        (QUESTION, "Moves: R\nR\nR\nR\nD\nD", 1),
         (QUESTION, "My first answer: RRRRDD\nMy second answer: RRR", 0),
-        # The last fenced block counts, whatever stands outside.
-        (QUESTION, f"RRRRR\n{FENCE.format(SHORTEST)}\nRRR", 1),
-        (QUESTION, f"{FENCE.format('DDR')}\nBetter:\n```text\nDDRRRR\n```", 1),
+        # A fence does not decide between two answers; a label does.
+        (QUESTION, f"I go down:\n{FENCE.format(SHORTEST)}", 1),
+        (QUESTION, f"{FENCE.format(SHORTEST)}\nI went right.", 0),
+        (QUESTION, f"RRRRR\n{FENCE.format(SHORTEST)}\nRRR", 0),
+        (QUESTION, f"{FENCE.format('DDR')}\nBetter:\n```text\nDDRRRR\n```", 0),
+        (QUESTION, f"{FENCE.format('DDR')}\n**Answer**\n```text\nDDRRRR\n```", 1),
         (QUESTION, f"{FENCE.format('DDRRRR')}\nor\n{FENCE.format('DDR')}", 0),
         (QUESTION, "```\nDDRRRR", 1),
         (QUESTION, f"{FENCE.format('DDRRRR')}\n```\n\n```", 1),
@@ -116,7 +137,10 @@ WIDE = "S   \n    \n   G"
         (QUESTION, f"{SHORTEST}\nRRRRDD", 0),
         (QUESTION, FENCE.format("RRRRDD\nor\nDDRRRR"), 0),
         (CLOSED, "infeasible\nDDRRUU", 0),
-        # Spaces at the ends of rows may be missing, those at their beginnings may not.
+        # Several labelled answers count if they give one path.
+        (QUESTION, "Path: RRRRDD\nMoves: right, right, right, right, down, down", 1),
+        (QUESTION, "Path: RRRRDD\nMoves: down, down, right, right, right, right", 0),
+        # Spaces at the ends of rows may be missing, and before the first row, too.
         (WIDE, "S\no\noooG", 1),
         (WIDE, "S\no\noooG".replace("\n", " \n"), 1),
         ("   G\n    \nS   ", "oooG\no\nS", 1),
@@ -144,7 +168,7 @@ def test_answers_are_scored(question: str, answer: str, score: float) -> None:
         ("DDRR", "the moves end at (3, 3), the goal is (3, 5)", "DDRR"),
         (BOTH, "the marked cells are no path from S to G", ""),
         (QUESTION, "a copy of the question", ""),
-        ("I give up", "no answer", ""),
+        ("I resign", 'no answer: the text ends with other words: "I resign"', ""),
         ("DDRRRR\n\nDDRRRR", "two answers", ""),
         ("infeasible", "there is a path", ""),
     ],
@@ -155,16 +179,10 @@ def test_a_check_says_why_and_which_moves(answer: str, reason: str, moves: str) 
     assert (check.reason, check.moves) == (reason, moves)
 
 
-def test_long_lines_are_read_in_linear_time() -> None:
-    """A model may repeat itself without end: a pattern that tries all labels would take minutes."""
-    for line in ("answer: ", "answer moves path ", "* _", "answer>"):
-        assert check_answer(QUESTION, 100_000 * line).reason == "no answer"
-
-
 def test_moves_that_leave_the_map() -> None:
     """They are told from walls."""
-    assert check_answer(WIDE, "RRRRRR").reason == "move 4 leaves the map"
-    assert check_answer(WIDE, "U").reason == "move 1 leaves the map"
+    assert check_answer(WIDE, "RRRRRR").reason == "move 4 leaves the map of 3 x 4 cells"
+    assert check_answer(WIDE, "U").reason == "move 1 leaves the map of 3 x 4 cells"
 
 
 @SETTINGS
@@ -223,19 +241,43 @@ def test_all_shortest_paths_of_networkx_are_right_answers(seed: int, data: st.Da
     assert is_shortest_answer(question, "".join(other)) == ("".join(other) in right)
 
 
-def test_longer_paths_are_wrong() -> None:
-    """Wrong answers are a detour, a loop beside the path, another length and a changed wall."""
-    question = "S        " + "       G "
-    question = question.ljust(25)
-    start, goal = 0, 16
-    found = astar(np.zeros((5, 5)), (0, 0), divmod(goal, 5))
-    cells = [row * 5 + column for row, column in found.path.tolist()]
-    right = "".join("o" if k in cells[1:-1] else letter for k, letter in enumerate(question))
-    assert is_shortest_answer(question, right)
-    assert not is_shortest_answer(question, right[:-1])
-    assert not is_shortest_answer(question, right[:-1] + "#")
-    assert not is_shortest_answer(question, right[:-1] + "o")
-    assert right[start] == "S"
+@pytest.mark.parametrize(
+    ("answer", "score"),
+    [
+        ("SoooG\n     \n     ", 1),
+        ("So oG\n ooo \n     ", 0.5),  # a detour
+        ("So oG\n o o \n ooo ", 0.5),
+        ("SoooG\n ooo \n     ", 0),  # a second way beside the path
+        ("SoooG\n o o \n ooo ", 0),  # a loop
+        ("SoooG\n     \n    o", 0),  # a mark elsewhere
+        ("SoooG\n  o  \n     ", 0),  # a branch
+    ],
+)
+def test_marks_of_a_longer_path_form_a_line(answer: str, score: float) -> None:
+    """A way with branches or loops does not say where to go."""
+    question = "S   G\n     \n     "
+    assert score_answer(question, answer) == score
+    assert score_answer(question.replace("\n", ""), answer.replace("\n", ""), (3, 5)) == score
+
+
+@pytest.mark.parametrize("end", ["rstrip", "lstrip", "strip"])
+@pytest.mark.parametrize("line_end", ["", "\n"])
+def test_a_stripped_marked_maze_has_the_score_of_the_whole_one(line_end: str, end: str) -> None:
+    """Chat templates, tokenizers and readers of CSV strip texts."""
+    draw = random.Random(5)
+    scores: list[float] = []
+    right_scores: list[float] = []
+    while len(scores) < 100:
+        maze = draw_maze(draw)
+        if maze.goal not in distances(maze, maze.start):
+            continue
+        marks = set(cells_of(maze, draw_walk(draw, maze))) - {maze.start, maze.goal}
+        answer = line_end.join(marked_rows(maze, marks))
+        question = answer.replace("o", " ")
+        size = maze.size if not line_end or maze.size[0] == 1 else None
+        scores.append(score_answer(question, getattr(answer, end)(), size))
+        right_scores.append(score_of_marks(maze, marks))
+    assert scores == right_scores == [1] * 100
 
 
 def test_line_ends_around_an_answer_are_ignored() -> None:
@@ -247,26 +289,63 @@ def test_line_ends_around_an_answer_are_ignored() -> None:
     for each_question in questions:
         assert all(is_shortest_answer(each_question, each_answer) for each_answer in answers)
         assert not is_shortest_answer(each_question, " " + answer)
+        assert not is_shortest_answer(each_question, answer + "#")
         assert not is_shortest_answer(each_question, answer.replace("\n", "\n\n"))
 
 
 @pytest.mark.parametrize(
-    ("question", "answer", "message"),
+    "answer",
     [
-        ("#########", "#########", "question: expected the maze alone, without instructions"),
-        ("", "", "one S and one G"),
-        ("S  SG    ", "S  SG    ", "one S and one G"),
-        ("SéG ", "SéG ", "cells '#' and ' ', one S and one G"),
-        ("S G", "SoG", "question: got 3 cells in one line, expected a square map"),
-        ("S G", "S G ", "question: got 3 cells in one line, expected a square map"),
-        ("S \n G ", "S \n G ", "got lines of several lengths"),
-        (None, "S  G", "question: got a value of type NoneType, expected a text"),
-        ("S  G", None, "answer: got a value of type NoneType, expected a text"),
+        ["down", "down", "right", "right", "right", "right"],
+        ("D", "d", "Right", "RIGHT", "r", " right "),
+        np.array(["D", "D", "R", "R", "R", "R"]),
+        [(1, 1), (2, 1), (3, 1), (3, 2), (3, 3), (3, 4), (3, 5)],
+        [[1, 1], [2, 1], [3, 1], [3, 2], [3, 3], [3, 4], [3, 5]],
+        np.array([(1, 1), (2, 1), (3, 1), (3, 2), (3, 3), (3, 4), (3, 5)], np.uint8),
+        torch.tensor([(1, 1), (2, 1), (3, 1), (3, 2), (3, 3), (3, 4), (3, 5)]),
+        list(np.array([(1, 1), (2, 1), (3, 1), (3, 2), (3, 3), (3, 4), (3, 5)])),
     ],
 )
-def test_a_question_that_is_no_map_raises_a_format_error(
-    question: Any, answer: Any, message: str
-) -> None:
-    """The docstring promises this error and no other."""
-    with pytest.raises(FormatError, match=message):
-        is_shortest_answer(question, answer)
+def test_a_list_of_moves_or_cells_is_an_answer(answer: Any) -> None:
+    """So that users extract the answers of their models themselves."""
+    assert check_answer(QUESTION, answer) == AnswerCheck(1.0, "a shortest path", "DDRRRR")
+    assert is_shortest_answer(QUESTION, answer)
+    assert score_answer(QUESTION, answer[:-1]) == 0
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        ([], 'no answer: an empty list; where there is no path, "infeasible"'),
+        (np.zeros((0, 2)), 'no answer: an empty list; where there is no path, "infeasible"'),
+        (["down", "rigth"], "no answer: move 2 is 'rigth', expected one of up, down, left, right"),
+        (["DDRRRR"], "no answer: move 1 is 'DDRRRR', expected one of up"),
+        (["infeasible"], "no answer: move 1 is 'infeasible'"),
+        ([1, 1, 3], "no answer: a list of other things than moves or cells (row, col)"),
+        ([(1, 1), (2.0, 1)], "no answer: a list of other things than"),
+        ([(True, 1)], "no answer: a list of other things than"),
+        ([(1, 1), (2, 1, 0)], "no answer: a list of other things than"),
+        (["down", (2, 1)], "no answer: a list of other things than"),
+        ([None], "no answer: a list of other things than"),
+        (np.full((3, 2), np.nan), "no answer: a list of other things than"),
+        ([(0, 1), (1, 1)], "the first cell is (0, 1), S is (1, 1)"),
+        ([(1, 1), (3, 1)], "cell (3, 1) is no neighbour of (1, 1)"),
+        ([(1, 1), (1, 1)], "cell (1, 1) is no neighbour of (1, 1)"),
+        ([(1, 1), (2, 2)], "cell (2, 2) is no neighbour of (1, 1)"),
+        ([(1, 1), (0, 1)], "move 1 leads into a wall"),
+        ([(1, 1), (1, 0), (1, -1)], "move 1 leads into a wall"),
+        ([(1, 1), (10**30, 1)], f"cell ({10**30}, 1) is no neighbour of (1, 1)"),
+        ([(1, 1), (2, 1), (3, 1)], "the moves end at (3, 1), the goal is (3, 5)"),
+    ],
+)
+def test_a_list_of_anything_else_scores_0_and_says_why(answer: Any, reason: str) -> None:
+    """A model may have written it, and a training goes on."""
+    check = check_answer(QUESTION, answer)
+    assert check.score == 0
+    assert check.reason.startswith(reason)
+
+
+def test_a_list_of_cells_may_be_a_longer_path() -> None:
+    """It may pass a cell twice, as moves may."""
+    cells = [(1, 1), (1, 2), (1, 1), (2, 1), (3, 1), (3, 2), (3, 3), (3, 4), (3, 5)]
+    assert check_answer(QUESTION, cells).reason == "a path of 8 moves where 6 are enough"
