@@ -60,9 +60,13 @@ _IGNORE_CASE = re.IGNORECASE | re.ASCII
 _SAME_CHARACTERS = str.maketrans(
     "：，；。！？“”‘’\u00a0–—−⟶⇒➔➜➙➝",  # noqa: RUF001 (these characters are what is replaced)
     ":,;.!?\"\"'' ---→→→→→→",
-    "\ufe0e\ufe0f\u200b\ufeff",
+    "\ufe0e\ufe0f\u200b\ufeff✅",
 )
-"""Wide and curly punctuation, other dashes and arrows, and characters that nobody sees."""
+"""Wide and curly punctuation, other dashes and arrows, and characters that say nothing."""
+
+_LATEX_ARROW = re.compile(r"\\(?:to|(?:long)?rightarrow)\b", _IGNORE_CASE)
+_LATEX_FONT = re.compile(r"\\(?:text|texttt|textbf|mathrm|mathtt|mathbf)\{([^{}]*)\}")
+_LATEX_BOX = re.compile(r"\\boxed\{(.*)\}")
 
 _END_OF_THINKING = re.compile(r"</think(?:ing)?>", _IGNORE_CASE)
 _START_OF_THINKING = re.compile(r"<think(?:ing)?>", _IGNORE_CASE)
@@ -85,7 +89,7 @@ _LABEL_TEXT = (
 """What a label says. All its words are listed, so that none of them can be a "not"."""
 
 _LABEL = re.compile(
-    rf"(?P<open>[*_\"'`]{{0,3}}){_LABEL_TEXT}(?P<closed>[*_\"'`]{{0,3}})[ ]*"
+    rf"(?:#+[ ]+)?(?P<open>[*_\"'`]{{0,3}}){_LABEL_TEXT}(?P<closed>[*_\"'`]{{0,3}})[ ]*"
     r"(?:(?:[ ](?:is|are)\b)?[ ]*(?P<colon>[:=])|[ ](?:is|are)\b)(?P<closed_late>[*_]{0,3})[ ]*",
     _IGNORE_CASE,
 )
@@ -105,7 +109,7 @@ _BREAK = re.compile(r"(?:`{3,}\w*|~{3,}\w*|\\\[|\\\]|\$\$|</answer>|-{3,}|[\[\]{
 
 _MARKER = re.compile(
     r"(?P<bullet>[-*+•][ ]+)?"
-    r"(?:(?P<open>\*\*)?(?:step[ ]*)?(?P<number>\d{1,5})[ ]*[.):](?P<closed>\*\*)?)?[ ]*",
+    r"(?:(?P<open>\*\*)?(?:(?:step|move)[ ]*)?(?P<number>\d{1,5})[ ]*[.):](?P<closed>\*\*)?)?[ ]*",
     _IGNORE_CASE,
 )
 """What stands before an item of a list: "- ", "1. ", "**Step 1:** "."""
@@ -124,8 +128,6 @@ _PAIRS = (
 )
 """Marks around an answer: code, bold and slanted text, formulas, quotations, lists."""
 
-_LATEX = re.compile(r"\\(?P<name>boxed|fbox|text|texttt|textbf|mathrm|mathtt|mathbf)\{(.*)\}")
-
 _MAX_MARKS = 10
 """How many marks may stand around one another; a text may consist of them."""
 
@@ -139,11 +141,13 @@ _NEGATION = re.compile(
 """Words before an answer by which it may be no answer, or one of several."""
 
 _DOUBT = re.compile(
-    r"\b(?:not (?:\w+ )?(?:sure|certain)|unsure|uncertain|guess|guessing|maybe|perhaps|probably|"
-    r"possibly|might|may|could|seems?|likely|hope)\b",
+    r"\b(?:unsure|uncertain|unclear|guess|guessing|doubt|maybe|perhaps|probably|possibly|might|may|"
+    r"could|seems?|likely|hope|assuming|no idea|I (?:think|believe|suppose|assume))\b|"
+    r"(?:\bnot|n't|\bnever)\b[^.!?]{0,30}\b(?:sure|certain|confident|know)\b|"
+    r"\bfollowing\b[^.!?]{0,60}(?:\b(?:not|no|wrong|incorrect|false|invalid)|n't)\b",
     _IGNORE_CASE,
 )
-"""Words before an answer by which it is a guess."""
+"""Words before an answer by which it is a guess, or wrong, even if it has a label."""
 
 
 # --- forms --------------------------------------------------------------------------------------
@@ -282,7 +286,7 @@ def read_text(text: str, maze: Question) -> list[Reading]:
     """
     answers, copies, last_words = _answers_of_lines(_lines_of_text(text), maze)
     if last_words:
-        raise NoAnswerError(_refusal(last_words))
+        raise NoAnswerError(_refusal(last_words, is_behind_answer=bool(answers)))
     if not answers:
         if copies:
             return [Reading(MAZE_FORM, mazes=copies)]
@@ -302,6 +306,7 @@ def read_text(text: str, maze: Question) -> list[Reading]:
 def _lines_of_text(text: str) -> list[str]:
     """Return the lines after the thinking of a model; tags have lines of their own."""
     text = text.replace("\r\n", "\n").translate(_SAME_CHARACTERS)
+    text = _LATEX_FONT.sub(r"\1", _LATEX_ARROW.sub("→", text))
     *_, text = _END_OF_THINKING.split(text)
     if _START_OF_THINKING.search(text):
         raise NoAnswerError("no answer: the text ends inside <think>")
@@ -393,7 +398,7 @@ def _read_line(line: str, maze: Question) -> _Line | None:
             )
         label = _LABEL.match(text)
         item = _MARKER.match(text)
-        box = _LATEX.fullmatch(text)
+        box = _LATEX_BOX.fullmatch(text)
         if label:
             text = text[label.end() :]
             if not label["colon"] and text.lower() == "right":
@@ -407,8 +412,8 @@ def _read_line(line: str, maze: Question) -> _Line | None:
         elif text.startswith("> "):
             text = text.removeprefix("> ")
         elif box:
-            text = box[2]
-            is_labelled = is_labelled or box["name"] == "boxed"
+            text = box[1]
+            is_labelled = True
         elif marker is None and item and (item["bullet"] or item["number"]):
             marker = int(item["number"]) if item["number"] else ""
             text = text[item.end() :]
@@ -550,11 +555,12 @@ def _check_words_before(answer: _Answer) -> None:
         )
 
 
-def _refusal(words: str) -> str:
+def _refusal(words: str, *, is_behind_answer: bool) -> str:
     """Return why a text that ends with these words has no answer."""
     ends = words if len(words) < 400 else f"{words[:200]} {words[-200:]}"
-    names = (name for name, pattern in _REFUSED if pattern.match(ends))
-    return f"no answer: the text ends with {next(names, 'other words')}: {_excerpt(words)}"
+    name = next((name for name, pattern in _REFUSED if pattern.match(ends)), "other words")
+    place = "behind an answer the text ends" if is_behind_answer else "the text ends"
+    return f"no answer: {place} with {name}: {_excerpt(words)}"
 
 
 def _excerpt(words: str) -> str:

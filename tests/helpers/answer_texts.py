@@ -286,6 +286,8 @@ DENIED = [
     "The path isn\u2019t\n\n{0}",
     "Never go\n<answer>{0}</answer>",
     "It fails:\n\nAnswer: {0}",
+    "The following is wrong.\nAnswer: {0}",
+    "The following isn't the path. The path is {0}",
 ]
 
 TAKEN_BACK = [
@@ -331,6 +333,11 @@ HEDGED = [
     "I guess\n\nAnswer: {0}",
     "My guess: {0}",
     "I am not sure. Answer: {0}",
+    "I'm not 100% sure.\nAnswer: {0}",
+    "I can't be certain.\n<answer>{0}</answer>",
+    "I think the path is:\n{0}",
+    "I have no idea.\n\\boxed{{{0}}}",
+    "Assuming that the door is open:\n{0}",
     "Perhaps this one:\n```\n{0}\n```",
     "Answer: {0} (I think)",
     "It could be\n{0}",
