@@ -516,22 +516,16 @@ def planner_table() -> pd.DataFrame:
     return table[(table["set"] == "dungeon-hard-1000") & table["opt_low"].notna()]
 
 
-def planners() -> Figure:
-    """Show what planners save and what that costs; those that learn have another colour."""
+def planners(columns: int = 2) -> Figure:
+    """Show what planners save and what that costs; those that learn have colours of their own."""
     from mapdata.models import PathPredictor
     from mapdata.models import planners as learned
 
-    figure, (ax,) = new_figure(1, 1, (7.5, 5))
+    figure, (ax,) = new_figure(1, 1, (3.75 * columns, 5))
     table = planner_table()
-    plot_planners(table[table["planner"] != "path_predictor of the tutorial"], ax)
+    table = table[table["planner"] != "path_predictor of the tutorial"]
     names = {planner.name for planner in learned(PathPredictor.pretrained())}
-    bars = iter(ax.collections)  # two intervals for each mark
-    for line in ax.lines:
-        intervals = (next(bars), next(bars))
-        if line.get_label() in names:
-            line.set_color(COLOURS["predicted"])
-            for interval in intervals:
-                interval.set_color(COLOURS["predicted"])
+    plot_planners(table, ax, own=sorted(names & set(table["planner"])))
     return figure
 
 
@@ -693,7 +687,14 @@ FIGURES: dict[str, Callable[..., Figure]] = {
     "costs": costs,
 }
 NAMES = [*FIGURES, "report"]
-FOR_PHONES = {"overview": 2, "families": 3, "presets": 4, "predictions": 2, "fields": 2}
+FOR_PHONES = {
+    "overview": 2,
+    "families": 3,
+    "presets": 4,
+    "predictions": 2,
+    "planners": 1,
+    "fields": 2,
+}
 """Pictures that phones get with fewer columns, as `NAME-phone.png`."""
 
 VARIANTS = {name: ("", "-phone") if name in FOR_PHONES else ("",) for name in NAMES}

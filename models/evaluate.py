@@ -97,8 +97,8 @@ def evaluate_planners(
             _vertex_weights.npy of a Warcraft set, or a file that --save wrote
         preset: a preset that 'mapdata list' describes, such as terrain or tiles, or a recipe, as a
             file or JSON text (default: dungeon)
-        seed: 64-bit seed of maps and problems (default: that of the recipe, or 77); for
-            planning-datasets, the seed of the starts
+        seed: 64-bit seed of maps and problems (default: that of the recipe, or 77); for datasets,
+            of their problems (default: that of the dataset); for planning-datasets, of the starts
         maps: number of maps (default: that of the recipe, or 600; of a dataset, all); for a .scen,
             the largest number of its problems, evenly spread over the file (default: all)
         until_hard: stop after the map with which there are this many hard problems
@@ -130,16 +130,25 @@ def evaluate_planners(
             )
     elif problems.movement in SHIPPED:
         model = PathPredictor.pretrained(SHIPPED[problems.movement])
+    learned: list[evaluation.Planner] = []
     if isinstance(model, PathPredictor):
-        rows += planners(model)
+        learned += planners(model)
     elif model is not None:
-        rows.append(model)
+        learned.append(model)
     # Classical planners run in one thread, and times count all threads: a second one that waits
     # for work would be counted, too.
     thread_count = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        compare_planners(rows, problems, baseline=baseline, csv=csv, json=json, figure=figure)
+        compare_planners(
+            [*rows, *learned],
+            problems,
+            own=[planner.name for planner in learned],
+            baseline=baseline,
+            csv=csv,
+            json=json,
+            figure=figure,
+        )
     finally:
         torch.set_num_threads(thread_count)
 
@@ -170,10 +179,11 @@ def evaluate_samplers(
       python -m mapdata.models.evaluate samplers data/maps --sizes 24 50
 
     Args:
-        root: datasets, in place of --preset and --seed
+        root: datasets, in place of --preset
         preset: a preset that 'mapdata list' describes, except terrain and tiles, or a recipe, as
             a file or JSON text (default: dungeon)
-        seed: 64-bit seed of maps and problems (default: that of the recipe, or 77)
+        seed: 64-bit seed of maps and problems (default: that of the recipe, or 77); for datasets,
+            of their problems (default: that of the dataset)
         maps: number of maps (default: that of the recipe, or 1000; of a dataset, all)
         sizes: numbers of vertices of the roadmaps (default: 24 50 100)
         csv: write the table to a CSV file

@@ -39,6 +39,7 @@ _MEMORY_ADVICE = {
     "build_command": "take fewer --workers or a smaller --shard-size, ",
     "import_command": "take a smaller --shard-size, import fewer files at once, ",
     "report_command": "take fewer --maps, ",
+    "evaluate_command": "take fewer --maps, ",
     "evaluate_planners": "take fewer --maps, ",
     "evaluate_samplers": "take fewer --maps, ",
 }
@@ -228,17 +229,28 @@ class Parser(argparse.ArgumentParser):
     """A parser whose errors are one line."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse the arguments; an unknown flag is refused first, with a similar flag as a hint."""
+        """Parse the arguments; an unknown flag is refused first, with a similar flag as a hint.
+
+        So is a flag that takes one value and is given twice: argparse would drop the first value.
+        """
         from mapdata.checks import did_you_mean
 
         arguments = sys.argv[1:] if args is None else args
+        given = set()
         for argument in arguments:
             flag = argument.partition("=")[0]
             if flag == "--":  # all arguments after it are names, even with dashes
                 break
-            if flag.startswith("--") and flag not in self._option_string_actions:
+            if not flag.startswith("--"):
+                flag = flag[:2]  # -oFILE is the flag -o with its value
+            action = self._option_string_actions.get(flag)
+            if action is None and flag.startswith("--"):
                 hint = did_you_mean(flag, self._option_string_actions)
                 self.error(f"unknown flag {flag}{hint}")
+            if isinstance(action, argparse._StoreAction):
+                if action.dest in given:
+                    self.error(f"{flag}: given twice, expected once; leave out one of its values")
+                given.add(action.dest)
         return super().parse_known_args(arguments, namespace)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
@@ -324,8 +336,10 @@ def add_flag(
         settings = {"type": _number_or_word(annotation), "metavar": "X"}
     elif annotation == Literal[True]:  # of Literal[True] | str: the text may be omitted
         settings = {"nargs": "?", "const": True, "metavar": upper_name}
+    elif annotation == list[str]:  # one value each time, so that names may follow the flag
+        settings = {"action": "append", "metavar": upper_name}
     elif origin is list:
-        settings = {"nargs": "+", "type": whole_number, "metavar": "N"}
+        settings = {"action": "extend", "nargs": "+", "type": whole_number, "metavar": "N"}
     elif origin is Literal:
         choices = get_args(annotation)
         settings = {"type": type(choices[0]), "choices": choices}

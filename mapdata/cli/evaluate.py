@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 import math
+import re
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -19,11 +22,26 @@ if TYPE_CHECKING:
     from mapdata.evaluation import Planner
     from mapdata.problems import ProblemSet
 
+SHORT_TABLE = (
+    "A*",
+    "weighted A* (2)",
+    "guided search, no network",
+    "A* with the exact goal field",
+    "limit",
+    "A* on mean cost",
+)
+"""The classical planners that `mapdata evaluate` shows without ``--full``, as far as they exist."""
+
+SHORT_COLUMNS = ("success", "opt", "cost_ratio", "expansion_ratio", "ms")
+"""The columns that it prints without ``--full``."""
+
 
 def evaluate_command(
     problems: list[str],
     *,
-    planner: str | None = None,
+    planner: list[str] | None = None,
+    full: bool = False,
+    seed: int | None = None,
     maps: int | None = None,
     per_map: int = 1,
     split: Literal["train", "val", "test"] | None = None,
@@ -41,14 +59,19 @@ def evaluate_command(
       mapdata evaluate data/maps --connectivity 4 --json planners.json
       mapdata evaluate arena.map.scen --figure planners.png
       mapdata evaluate dungeon.npz --planner my_module:MyPlanner
+      mapdata evaluate dungeon --seed 4711 --planner ada:Planner --planner bob:Planner
       mapdata evaluate data/site --split train --per-map 100 --radius 0.3
 
     Args:
         problems: a file that ProblemSet.save wrote, or problems of others as .scen, .npz or .npy;
             or datasets, of whose test splits each map gives a random problem; or a preset that
             'mapdata list' describes, of which new maps give one each
-        planner: MODULE:NAME of your own planner; the module may be a file in the working folder.
-            NAME is a planner, or a class or function that takes a mapdata.Movement and returns one
+        planner: MODULE:NAME of your own planner; may be repeated. The module may be a file in the
+            working folder. NAME is a planner, or a class or function that returns one; it gets a
+            mapdata.Movement if it takes an argument
+        full: show all classical planners and all columns, in place of the few to compare with first
+        seed: 64-bit seed of the maps and problems of a preset (default: 77), or of the problems on
+            a dataset (default: that of the dataset); a test set that nobody knows has another one
         maps: number of maps (default: 600 of a preset, all of a dataset); for a .scen, the largest
             number of its problems
         per_map: number of problems on each map of a dataset or preset
@@ -70,7 +93,7 @@ def evaluate_command(
     if figure is not None:
         check_picture_ending(figure)
     movement = Movement(connectivity, corner_cutting, diagonal_cost)
-    own = None if planner is None else own_planner(planner, "--planner")
+    own = [own_planner(reference, "--planner") for reference in planner or ()]
     root, preset = problems, None
     if len(problems) == 1 and not Path(problems[0]).exists():
         if problems[0] in PRESETS:
@@ -92,22 +115,41 @@ def evaluate_command(
         options["split"] = split
     if radius:
         options["radius"] = radius
-    problem_set = load_problems(root, preset, None, maps, movement=movement, **options)
-    rows = classical(problem_set.movement, terrain=problem_set.terrain is not None)
-    if own is not None:
-        rows.append(own(problem_set.movement))
+    problem_set = load_problems(root, preset, seed, maps, movement=movement, **options)
+    movement = problem_set.movement
+    others = classical(movement, terrain=problem_set.terrain is not None)
+    shown = others if full else [row for row in others if row.name in SHORT_TABLE]
     try:
-        compare_planners(rows, problem_set, json=json, figure=figure)
-    except (OSError, ValueError):  # which end the command with one line
-        if own is not None:
-            traceback.print_exc()  # It shows where in the user's own code the error was raised.
+        # One's own planners come first, so that their errors do.
+        own_rows = [make_planner(movement) for make_planner in own]
+        compare_planners(
+            [*own_rows, *shown],
+            problem_set,
+            own=[row.name for row in own_rows],
+            columns=None if full else SHORT_COLUMNS,
+            json=json,
+            figure=figure,
+        )
+    except (Exception, SystemExit) as error:  # the code of a user may raise anything
+        if not own:
+            raise
+        frames = _frames_outside_mapdata(error)
+        if frames:  # It shows where in the user's own code the error was raised.
+            print(frames, end="", file=sys.stderr)
+            raise ValueError(f"{type(error).__name__}: {error}") from error
+        if isinstance(error, TypeError):  # of what the user's code is or returned
+            raise ValueError(str(error)) from error
         raise
+    if not full:
+        print(f"\n--full shows {len(others) - len(shown)} more classical planners, and all columns")
 
 
 def compare_planners(
     planners: Sequence[Planner],
     problems: ProblemSet,
     *,
+    own: Sequence[str] = (),
+    columns: Sequence[str] | None = None,
     baseline: str | None = None,
     csv: str | None = None,
     json: str | None = None,
@@ -118,6 +160,9 @@ def compare_planners(
     Args:
         planners: the rows.
         problems: the problems.
+        own: names of the rows to look at: the figure shows them in colour, and below the table
+            there is a line for each of them, which says how many paths were refused, and why.
+        columns: those to print, as in `mapdata.evaluation.to_text`; the files have all.
         baseline: name of the row whose expansions count as 1; by default mapdata's A*.
         csv: file of the table, or None.
         json: file of the table as a list of rows, or None.
@@ -130,19 +175,51 @@ def compare_planners(
     """
     from mapdata.evaluation import evaluate, to_text
 
-    table = evaluate(planners, problems, baseline=baseline, progress=True)
+    with warnings.catch_warnings():
+        for name in own:  # The line below the table says it, and how many paths were refused.
+            warnings.filterwarnings("ignore", f"{re.escape(name)}: none of its paths solves")
+        table = evaluate(planners, problems, baseline=baseline, progress=True)
     print(f"{problems.description}; {problems.movement}; set {problems.content_hash[:12]}\n")
-    print(to_text(table))
+    print(to_text(table, columns))
+    own_rows = table[table["planner"].isin(own) & (table["subset"] == "all")].to_dict("records")
+    if own_rows:
+        print()
+    for row in own_rows:
+        print(f"{row['planner']}: {_outcome(row)}")
     write_table(table, csv, json)
     if figure is not None:
-        from matplotlib.figure import Figure
-
         from mapdata.plotting import plot_planners, write_figure
 
-        canvas = Figure(figsize=(7, 6), layout="constrained")
         subset = "hard" if problems.hard.any() else "all"
-        plot_planners(table, canvas.add_subplot(), subset=subset)
-        write_figure(canvas, figure)
+        axes = plot_planners(table, subset=subset, own=own)
+        write_figure(axes.figure, figure)  # type: ignore[arg-type]
+
+
+def _outcome(row: Mapping[Any, Any]) -> str:
+    """Return what became of the paths of a planner, from its row of all problems, as text."""
+    count = row["n"]
+    solved = round(row["success"] * count)
+    missing = count - solved - row["refused"]
+    parts = []
+    if row["refused"]:
+        parts.append(f"{row['refused']} of {count} paths refused, first {row['first_refused']}")
+    if missing:
+        parts.append(f"no path for {missing} of {count} problems")
+    return "; ".join(parts) or f"all {count} problems solved"
+
+
+def _frames_outside_mapdata(error: BaseException) -> str:
+    """Return the part of a traceback from the first function that is not of mapdata, as text.
+
+    It is empty if mapdata itself raised the error.
+    """
+    frame = error.__traceback__
+    while frame is not None:
+        module = str(frame.tb_frame.f_globals.get("__name__"))
+        if module.partition(".")[0] != "mapdata":
+            break
+        frame = frame.tb_next
+    return "".join(traceback.format_tb(frame))
 
 
 def own_planner(reference: str, flag: str) -> Callable[[Movement], Planner]:
@@ -150,7 +227,7 @@ def own_planner(reference: str, flag: str) -> Callable[[Movement], Planner]:
 
     Args:
         reference: MODULE:NAME; the module may be a file in the working folder. NAME is a planner,
-            or a class or function that takes a movement and returns one.
+            or a class or function that returns one. It gets the movement if it takes an argument.
         flag: the flag that the reference was given for, for messages.
 
     Raises:
@@ -170,7 +247,9 @@ def own_planner(reference: str, flag: str) -> Callable[[Movement], Planner]:
     makes_planner = isinstance(named, type) or not hasattr(named, "plan")
 
     def planner_for(movement: Movement) -> Planner:
-        planner = named(movement) if makes_planner and callable(named) else named
+        planner = named
+        if makes_planner and callable(named):
+            planner = named(movement) if inspect.signature(named).parameters else named()
         if not (hasattr(planner, "plan") and isinstance(getattr(planner, "name", None), str)):
             raise ValueError(
                 f"{flag}: {reference} is no planner: expected an object with a text 'name' and a "

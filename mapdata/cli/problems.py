@@ -25,8 +25,8 @@ def load_problems(
     Args:
         root: empty for new maps; datasets, whose test split is taken; or a file of problems.
         recipe: of new maps: a preset's name, a recipe file or its JSON text; default "dungeon".
-        seed: of new maps and their problems; for a preset the default is 77. For a file of
-            planning-datasets, the seed of the starts.
+        seed: of new maps and their problems; for a preset the default is 77. For datasets, of
+            their problems; for a file of planning-datasets, of the starts.
         maps: number of maps; for a .scen the maximal number of its problems, by default all.
         **sampling_options: those of `ProblemSet.sample` and `ProblemSet.read`, such as
             ``movement``.
@@ -46,10 +46,10 @@ def load_problems(
             seed = 77
         return ProblemSet.sample(recipe, seed, maps, **sampling_options)
     is_file = len(root) == 1 and Path(root[0]).suffix.lower() in (".npy", ".npz", ".scen")
-    if recipe is not None or (seed is not None and not is_file):
-        raise ValueError("preset, seed: have no effect on problems of a dataset, leave them out")
+    if recipe is not None:
+        raise ValueError("preset: has no effect on problems of a dataset, leave it out")
     if not is_file:
-        return ProblemSet.read(root, maps, **sampling_options)
+        return ProblemSet.read(root, maps, seed=seed, **sampling_options)
     # A file that does not know one of these options refuses it, so only those in use are passed.
     for name in ("problems", "split", "radius"):
         if name in sampling_options and Path(root[0]).exists():

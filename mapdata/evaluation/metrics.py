@@ -10,7 +10,7 @@ import inspect
 import math
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from mapdata.arrays import Bytes, Floats, Ints, summary
-from mapdata.checks import check_choice, check_count
+from mapdata.checks import check_choice, check_count, check_number, check_seed
 from mapdata.describe.intervals import confidence_intervals
 from mapdata.limits import Cell
 from mapdata.movement import Movement
@@ -138,6 +138,9 @@ def evaluate(
     - ``p_exp``: mean max(0, 1 - E / E*) (Neural A*'s Exp), over all problems.
     - ``hmean``: harmonic mean of ``opt`` and ``p_exp`` (Neural A*'s Hmean), 0 if both are 0.
     - ``regret``, on terrain only: mean L / L* - 1 over the solved problems.
+    - ``refused``: number of paths that are refused; the other failures are problems for which the
+      planner found no path. ``first_refused``: the number of the first of these problems and why
+      its path is refused, as text; empty if there is none.
     - ``prepared_ratio`` and ``look_ratio``: mean of `Plan.prepared` / E* and of `Plan.looks` / E*,
       over all problems. No other column counts these cells: the three ratios show what a planner
       does instead of expansions.
@@ -155,8 +158,11 @@ def evaluate(
 
     Times are processor time of this process (`time.process_time`), the sum over its threads. So
     other programs on the machine hardly change them. They leave out what a planner only waits for,
-    such as a GPU or another process. The first call of each planner is not timed. All columns but
-    those of ``ms_batched`` are of `plan`.
+    such as a GPU or another process. All columns but those of ``ms_batched`` are of `plan`.
+
+    At first each planner, in their order, solves the first problem, and with `plan_batch` the first
+    64. These calls are not timed, since they may compile kernels and fill caches, and they show
+    errors of a planner before the long work begins.
 
     On terrain, L is the cost on the true terrain. A `Planner` that takes terrain receives it; any
     other one plans on the grid alone, as if all free cells cost the same. Nearly all problems on
@@ -175,14 +181,16 @@ def evaluate(
             network adds to its search.
         bootstrap: number of resamples.
         seed: of the resamples.
-        progress: show a progress bar. It counts a problem once for each planner, and again for
-            each planner with `plan_batch`.
+        progress: show a progress bar after the first calls. It counts a problem once for each
+            planner, and again for each planner with `plan_batch`.
 
     Raises:
-        TypeError: ``problems`` are no `ProblemSet`; one of the planners has no ``name`` or no
-            ``plan``; the answer of a planner is no `Plan`.
+        TypeError: ``problems`` are no `ProblemSet`; ``planners`` is no list; one of them has no
+            ``name``, or one that is no text, or no ``plan``; the answer of a planner is no `Plan`,
+            or that of its ``plan_batch`` no list.
         ValueError: no planner, two of one name, none of the name ``baseline`` or
-            ``difference_from``, no problem, no resample, a ``plan_batch`` with too few plans, or a
+            ``difference_from``, a ``baseline`` that expands no cell, no problem, no resample, a
+            ``plan_batch`` with too few plans, a number of cells that is negative or no number, or a
             planner whose attribute ``movement`` is another `Movement` than that of the problems.
         Exception: whatever a planner raises.
 
@@ -191,28 +199,32 @@ def evaluate(
             first does not); or paths of its ``plan_batch`` cost something else than those of its
             ``plan``.
     """
-    if not isinstance(problems, ProblemSet):
-        raise TypeError(
-            f"problems: got {type(problems).__name__}, expected a ProblemSet: "
-            "mapdata.formats.read_problems(file) reads one, and ProblemSet.read(root) takes those "
-            "of a dataset"
-        )
+    _check_problems(problems)
     if hasattr(planners, "plan"):
         raise TypeError("planners: got one planner, expected a list of planners")
+    if not isinstance(planners, Iterable):
+        raise TypeError(f"planners: got {type(planners).__name__}, expected a list of planners")
+    planners = list(planners)
+    if not planners:
+        raise ValueError("planners: got none, expected at least one")
     for planner in planners:
         _check_planner(planner, problems.movement)
     names = [planner.name for planner in planners]
-    if not names or len(set(names)) < len(names):
-        raise ValueError(f"planners: got the names {names}, expected at least one and each once")
-    if not len(problems):
-        raise ValueError("problems: got none, expected at least one")
+    repeated_names = [name for name in dict.fromkeys(names) if names.count(name) > 1]
+    if repeated_names:
+        raise ValueError(
+            f"planners: several are named {', '.join(repeated_names)}, expected different names"
+        )
     check_count("bootstrap", bootstrap)
+    check_seed(seed)
     if baseline is not None:
         check_choice("baseline", baseline, names)
     if difference_from is not None:
         check_choice("difference_from", difference_from, names)
     batch_planner_count = sum(isinstance(planner, BatchPlanner) for planner in planners)
     total = (len(planners) + batch_planner_count) * len(problems)
+    for planner in planners:
+        _call_untimed(planner, problems)
     with bar(progress, total, unit=" problems") as advance:
         runs = []
         for planner in planners:
@@ -221,15 +233,33 @@ def evaluate(
     reference_expansions: Floats | Ints = problems.optimal.iterations
     if baseline is not None:
         reference_expansions = runs[names.index(baseline)].expansions
+        if not reference_expansions.all():
+            k = int(np.argmin(reference_expansions))
+            raise ValueError(
+                f"baseline: {baseline} expanded no cell on problem {k}, expected at least one on "
+                "each problem; choose another baseline"
+            )
     return _table(names, runs, problems, reference_expansions, bootstrap, seed, difference_from)
+
+
+def _check_problems(problems: ProblemSet) -> None:
+    """Refuse what is no problem set, and a set without problems."""
+    if not isinstance(problems, ProblemSet):
+        raise TypeError(
+            f"problems: got {type(problems).__name__}, expected a ProblemSet: "
+            "mapdata.formats.read_problems(file) reads one, and ProblemSet.read(root) takes those "
+            "of a dataset"
+        )
+    if not len(problems):
+        raise ValueError("problems: got none, expected at least one")
 
 
 def _warn_of_paths(name: str, run: _Run) -> None:
     """Warn the caller of a public function of paths that make a row say little."""
-    if run.first_fault and np.isnan(run.costs).all():
+    if run.refusals and np.isnan(run.costs).all():
         warnings.warn(
-            f"{name}: none of its paths solves its problem; the first is {run.first_fault}. A path "
-            "is cells (row, col) from start to goal",
+            f"{name}: none of its paths solves its problem; the first is that of "
+            f"{_first_refusal(run.refusals)}. A path is cells (row, col) from start to goal",
             stacklevel=3,
         )
     if run.other_costs_batched:
@@ -255,6 +285,13 @@ def _check_planner(planner: Planner, movement: Movement) -> None:
                 "planners, as mapdata.evaluation.classical() returns them, or "
                 "mapdata.models.planners(model) for a path predictor"
             )
+    if not isinstance(planner.name, str):
+        raise TypeError(
+            f"planners: the name of a {type(planner).__name__} is {planner.name!r}, expected text"
+        )
+    for method in ("plan", "plan_batch"):
+        if not callable(getattr(planner, method, evaluate)):
+            raise TypeError(f"planners: {planner.name}: {method} is no method")
     planner_movement = getattr(planner, "movement", None)
     if isinstance(planner_movement, Movement) and planner_movement != movement:
         raise ValueError(
@@ -286,7 +323,9 @@ def score_paths(
         seed: of the resamples.
 
     Raises:
-        ValueError: no problem, no resample, or another number of paths than of problems.
+        TypeError: ``problems`` are no `ProblemSet`, ``paths`` no list of paths, ``name`` no text.
+        ValueError: no problem, no resample, another number of paths than of problems, or a number
+            of expansions that is negative or no number.
 
     Warns:
         UserWarning: none of the paths solves its problem.
@@ -301,22 +340,36 @@ def score_paths(
     >>> bool(score_paths(problems, paths).regret[0] > 0.2)
     True
     """
-    if not len(problems):
-        raise ValueError("problems: got none, expected at least one")
+    _check_problems(problems)
+    if not isinstance(name, str):
+        raise TypeError(f"name: got {name!r}, expected text")
     check_count("bootstrap", bootstrap)
+    check_seed(seed)
     expansions = np.full(len(problems), np.nan)
     if isinstance(paths, BatchResult):
-        expansions = paths.iterations.astype(np.float64)
+        counts = paths.iterations
         paths = paths.paths()
+        if np.shape(counts) != (len(paths),):
+            raise ValueError(
+                f"paths: got iterations of shape {np.shape(counts)} for {len(paths)} paths, "
+                "expected one number for each"
+            )
+        expansions = np.array([_cell_count("paths: iterations", count) for count in counts])
+    if not hasattr(paths, "__len__") or isinstance(paths, (str, Mapping)):
+        raise TypeError(
+            f"paths: got {type(paths).__name__}, expected what search_batch returns or a list of "
+            "paths"
+        )
     if len(paths) != len(problems):
         raise ValueError(f"paths: got {len(paths)}, expected one for each of {len(problems)}")
     costs = np.empty(len(problems))
-    first_fault = ""
+    refusals = {}
     for k, path in enumerate(paths):
-        costs[k], fault = _cost(path, problems, k)
-        first_fault = first_fault or fault
+        costs[k], reason = _cost(path, problems, k)
+        if reason:
+            refusals[k] = reason
     unknown = np.full(len(problems), np.nan)
-    run = _Run(costs, first_fault, expansions, unknown, unknown, unknown, np.empty(0), 0)
+    run = _Run(costs, refusals, expansions, unknown, unknown, unknown, np.empty(0), 0)
     _warn_of_paths(name, run)
     return _table([name], [run], problems, problems.optimal.iterations, bootstrap, seed)
 
@@ -339,26 +392,35 @@ def median_interval(values: Floats) -> Floats:
     return np.array([np.median(values), ascending[low_rank - 1], ascending[high_rank - 1]])
 
 
-def to_text(table: pd.DataFrame) -> str:
+def to_text(table: pd.DataFrame, columns: Sequence[str] | None = None) -> str:
     """Return a table of `evaluate` as text: a block of all problems, and a block of the hard ones.
 
     Each metric and time is followed by half the width of its interval. The second block is left out
     if all problems are hard, because it would repeat the first one.
+
+    Args:
+        table: what `evaluate` returns.
+        columns: names of the columns beside that of the planner, of those of a number for each
+            planner; all by default.
+
+    Raises:
+        ValueError: there is no such column.
     """
     blocks = []
+    metrics = TERRAIN_METRICS if "regret" in table else METRICS
+    known_columns = (*metrics, "prepared_ratio", "look_ratio", *TIMES)
+    for name in columns or ():
+        check_choice("columns", name, known_columns)
     all_are_hard = table["subset"].nunique() == 2 and table["n"].nunique() == 1
     if all_are_hard:
         table = table[table["subset"] == "all"]
     for subset, rows in table.groupby("subset", sort=False):
         text = pd.DataFrame({"planner": rows["planner"]})
-        for metric in METRICS:
-            text[metric] = with_interval(rows, metric)
-        if "regret" in rows:
-            text["regret"] = with_interval(rows, "regret", decimals=5)
-        for name in ("prepared_ratio", "look_ratio"):
-            text[name] = rows[name].map("{:.3f}".format)
-        for name in TIMES:
-            text[name] = with_interval(rows, name)
+        for name in columns or known_columns:
+            if name in ("prepared_ratio", "look_ratio"):
+                text[name] = rows[name].map("{:.3f}".format)
+            else:
+                text[name] = with_interval(rows, name, decimals=5 if name == "regret" else 3)
         heading = f"{subset}: {rows['n'].iloc[0]} problems"
         if subset == "hard" or all_are_hard:
             heading += f", hardness at least {HARD}"
@@ -367,10 +429,11 @@ def to_text(table: pd.DataFrame) -> str:
 
 
 def with_interval(rows: pd.DataFrame, metric: str, decimals: int = 3) -> pd.Series[str]:
-    """Return a metric of each row as text, followed by half the width of its interval."""
+    """Return a metric of each row as text, followed by half the width of its interval; or "-"."""
     half_width = (rows[f"{metric}_high"] - rows[f"{metric}_low"]) / 2
     number = f"{{:.{decimals}f}}"
-    return rows[metric].map(number.format) + half_width.map(f" ±{number}".format)
+    text = rows[metric].map(number.format) + half_width.map(f" ±{number}".format)
+    return text.where(rows[metric].notna(), "-")
 
 
 class _Run(NamedTuple):
@@ -378,8 +441,7 @@ class _Run(NamedTuple):
 
     Attributes:
         costs: (N,) costs L of the paths, NaN for failures.
-        first_fault: why the first path that does not solve its problem does not; empty if there is
-            none.
+        refusals: why paths are refused, by the number of their problem, in ascending order.
         expansions: (N,) numbers of expansions E.
         prepared: (N,) numbers of prepared cells.
         looks: (N,) numbers of visited cells.
@@ -390,7 +452,7 @@ class _Run(NamedTuple):
     """
 
     costs: Floats
-    first_fault: str
+    refusals: Mapping[int, str]
     expansions: Floats
     prepared: Floats
     looks: Floats
@@ -435,6 +497,9 @@ def _table(
             row: dict[str, object] = {"planner": names[k], "subset": subset, "n": mask.sum()}
             for m, name in enumerate(metric_names):
                 row[name] = metrics[k, m]
+            refusals = {number: run.refusals[number] for number in run.refusals if mask[number]}
+            row["refused"] = len(refusals)
+            row["first_refused"] = _first_refusal(refusals)
             for name, counts in (("prepared_ratio", run.prepared), ("look_ratio", run.looks)):
                 ratios = counts[mask] / reference_expansions[mask]
                 row[name] = ratios.mean() if mask.any() else np.nan
@@ -465,66 +530,123 @@ def _terrain_argument(planner: Planner, terrain: Bytes | None) -> dict[str, Any]
     return {"terrain": terrain}
 
 
+def _call_untimed(planner: Planner, problems: ProblemSet) -> None:
+    """Solve the first problem with a planner, and the first batch with its `plan_batch`."""
+    _timed_plan(planner, problems, 0)
+    if isinstance(planner, BatchPlanner):
+        _timed_batch(planner, problems, 0)
+
+
 def _run(planner: Planner, problems: ProblemSet, advance: Advance) -> _Run:
     """Solve all problems with a planner, check its paths and measure its times.
 
     ``advance`` is called with numbers of solved problems.
     """
     costs = np.empty(len(problems))
+    refusals = {}
     expansions = np.empty(len(problems))
     prepared = np.empty(len(problems))
     looks = np.empty(len(problems))
     ms = np.empty(len(problems))
-    first_fault = ""
-    # The first problem is solved twice, and the second time counts: the first call may compile
-    # kernels and fill caches.
-    for repetition, k in enumerate((0, *range(len(problems)))):
-        start = tuple(problems.starts[k].tolist())
-        goal = tuple(problems.goals[k].tolist())
-        grid, terrain = _map_of(problems, k)  # copies, since a planner may write to them
-        arguments = _terrain_argument(planner, terrain)
-        began = time.process_time()
-        plan = planner.plan(grid, start, goal, **arguments)
-        ms[k] = 1000 * (time.process_time() - began)
-        _check_plan(planner, plan)
-        costs[k], fault = _cost(plan.path, problems, k)
-        first_fault = first_fault or fault
+    for k in range(len(problems)):
+        plan, ms[k] = _timed_plan(planner, problems, k)
+        costs[k], reason = _cost(plan.path, problems, k)
+        if reason:
+            refusals[k] = reason
         expansions[k] = plan.expansions
         prepared[k] = plan.prepared
         looks[k] = plan.expansions if plan.looks is None else plan.looks
-        if repetition > 0:
-            advance(1)
+        advance(1)
     ms_batched = np.empty(0)
     other_costs_batched = 0
     if isinstance(planner, BatchPlanner):
         ms_batched, batched_costs = _run_batched(planner, problems, advance)
         is_other_cost = ~np.isclose(batched_costs, costs, equal_nan=True)
         other_costs_batched = int(is_other_cost.sum())
-    return _Run(
-        costs, first_fault, expansions, prepared, looks, ms, ms_batched, other_costs_batched
-    )
+    return _Run(costs, refusals, expansions, prepared, looks, ms, ms_batched, other_costs_batched)
 
 
-def _check_plan(planner: Planner, plan: object) -> None:
+def _timed_plan(planner: Planner, problems: ProblemSet, k: int) -> tuple[Plan, float]:
+    """Return the plan for problem ``k``, checked, and the milliseconds that it took."""
+    start = tuple(problems.starts[k].tolist())
+    goal = tuple(problems.goals[k].tolist())
+    grid, terrain = _map_of(problems, k)  # copies, since a planner may write to them
+    arguments = _terrain_argument(planner, terrain)
+    began = time.process_time()
+    plan = planner.plan(grid, start, goal, **arguments)
+    ms = 1000 * (time.process_time() - began)
+    _check_plan(planner, "plan", plan)
+    return plan, ms
+
+
+def _timed_batch(
+    planner: BatchPlanner, problems: ProblemSet, first: int
+) -> tuple[Sequence[Plan], float]:
+    """Return the plans for a batch of problems from ``first`` on, checked, and its milliseconds.
+
+    Raises:
+        TypeError: ``plan_batch`` returns no list of plans.
+        ValueError: it returns another number of plans than it got problems.
+    """
+    batch = slice(first, first + _BATCH)
+    grids, terrain = problems.maps_of(batch)
+    starts = problems.starts[batch].copy()
+    goals = problems.goals[batch].copy()
+    count = len(starts)
+    arguments = _terrain_argument(planner, terrain)
+    began = time.process_time()
+    plans = planner.plan_batch(grids, starts, goals, **arguments)
+    ms = 1000 * (time.process_time() - began)
+    # A named tuple, such as one Plan or the BatchResult of search_batch, is a tuple, too.
+    if not isinstance(plans, (list, tuple)) or hasattr(plans, "_fields"):
+        raise TypeError(
+            f"{planner.name}: plan_batch returned {type(plans).__name__}, expected a list of "
+            "mapdata.Plan(path, expansions), one for each problem"
+        )
+    if len(plans) != count:
+        raise ValueError(f"{planner.name}: plan_batch gave {len(plans)} plans for {count} problems")
+    for plan in plans:
+        _check_plan(planner, "plan_batch", plan)
+    return plans, ms
+
+
+def _check_plan(planner: Planner, method: str, plan: object) -> None:
     """Check that a planner answered with a `Plan`, or with an object that has its fields.
+
+    Args:
+        planner: whose answer it is.
+        method: "plan" or "plan_batch", which returned it.
+        plan: the answer.
 
     Raises:
         TypeError: it did not.
-        ValueError: a number of cells is negative or not finite.
+        ValueError: a number of cells is no number, negative or not finite.
     """
     if not all(hasattr(plan, name) for name in Plan._fields):
+        part = "" if method == "plan" else " in its list"
         raise TypeError(
-            f"{planner.name}: plan returned {type(plan).__name__}, expected a mapdata.Plan(path, "
-            "expansions)"
+            f"{planner.name}: {method} returned {type(plan).__name__}{part}, expected a "
+            "mapdata.Plan(path, expansions)"
         )
     for name in ("expansions", "prepared", "looks"):
         count = getattr(plan, name)
-        if name == "looks" and count is None:
-            continue
-        if not 0 <= count < math.inf:
-            raise ValueError(
-                f"{planner.name}: {name}: got {count}, expected a number of cells, 0 or more"
-            )
+        if not (name == "looks" and count is None):
+            _cell_count(f"{planner.name}: {name}", count)
+
+
+def _cell_count(name: str, count: object) -> float:
+    """Return a number of cells as a float.
+
+    Raises:
+        ValueError: it is no number, negative or not finite. The message begins with ``name``.
+    """
+    shape = tuple(getattr(count, "shape", ()))
+    if shape:
+        raise ValueError(f"{name}: got an array of shape {shape}, expected a number of cells")
+    number = check_number(name, count)
+    if not 0 <= number < math.inf:
+        raise ValueError(f"{name}: got {count}, expected a number of cells, 0 or more")
+    return number
 
 
 def _outcomes(run: _Run, problems: ProblemSet, reference_expansions: Floats | Ints) -> Floats:
@@ -550,32 +672,16 @@ def _run_batched(
     Returns:
         The milliseconds a problem of each call of ``plan_batch``, and the costs of the paths, (N,),
         NaN for failures.
-
-    Raises:
-        ValueError: it returns another number of plans than it got problems.
     """
     ms = []
     costs = np.empty(len(problems))
-    # The first batch is solved twice, and the second time counts, as in `_run`.
-    for repetition, first in enumerate((0, *range(0, len(problems), _BATCH))):
-        batch = slice(first, first + _BATCH)
-        grids, terrain = problems.maps_of(batch)
-        starts = problems.starts[batch].copy()
-        goals = problems.goals[batch].copy()
-        arguments = _terrain_argument(planner, terrain)
-        began = time.process_time()
-        plans = planner.plan_batch(grids, starts, goals, **arguments)
-        ms.append(1000 * (time.process_time() - began) / len(starts))
-        if len(plans) != len(starts):
-            raise ValueError(
-                f"{planner.name}: plan_batch gave {len(plans)} plans for {len(starts)} problems"
-            )
+    for first in range(0, len(problems), _BATCH):
+        plans, batch_ms = _timed_batch(planner, problems, first)
+        ms.append(batch_ms / len(plans))
         for k, plan in enumerate(plans, start=first):
-            _check_plan(planner, plan)
             costs[k], _ = _cost(plan.path, problems, k)
-        if repetition > 0:
-            advance(len(plans))
-    return np.array(ms[1:]), costs
+        advance(len(plans))
+    return np.array(ms), costs
 
 
 def _map_of(problems: ProblemSet, k: int) -> tuple[Bytes, Bytes | None]:
@@ -584,27 +690,39 @@ def _map_of(problems: ProblemSet, k: int) -> tuple[Bytes, Bytes | None]:
     return grids[0], None if terrains is None else terrains[0]
 
 
-def _cost(path: npt.ArrayLike, problems: ProblemSet, k: int) -> tuple[float, str]:
+def _cost(path: npt.ArrayLike | None, problems: ProblemSet, k: int) -> tuple[float, str]:
     """Return the cost of ``path`` and an empty text.
 
     If it does not solve problem ``k``, return NaN and the reason, which is empty for no path.
     """
-    grid, terrain = _map_of(problems, k)
+    if path is None:
+        return np.nan, "got None, expected cells, or an empty array where there is no path"
     try:
         cells = np.asarray(path)
-        if cells.size == 0:
-            return np.nan, ""
+    except (TypeError, ValueError, RuntimeError) as error:  # uneven lists, or tensors on a GPU
+        return np.nan, f"got {type(path).__name__}, expected an array of cells: {error}"
+    if cells.size == 0:
+        return np.nan, ""
+    grid, terrain = _map_of(problems, k)
+    try:
         cost = check_path(grid, cells, problems.movement, terrain=terrain)
     except ValueError as error:
-        return np.nan, f"that of problem {k}: {error}"
+        return np.nan, str(error).removeprefix("path: ")
     start, goal = problems.starts[k], problems.goals[k]
     if np.array_equal(cells[0], start) and np.array_equal(cells[-1], goal):
         return cost, ""
     first, last = tuple(cells[0].tolist()), tuple(cells[-1].tolist())
     return np.nan, (
-        f"that of problem {k}: from {first} to {last}, expected from {tuple(start.tolist())} to "
+        f"it leads from {first} to {last}, expected from {tuple(start.tolist())} to "
         f"{tuple(goal.tolist())}"
     )
+
+
+def _first_refusal(refusals: Mapping[int, str]) -> str:
+    """Return the number of the first problem whose path is refused, and why; "" without one."""
+    for number, reason in refusals.items():
+        return f"problem {number}: {reason}"
+    return ""
 
 
 def _metrics(means: Floats) -> Floats:

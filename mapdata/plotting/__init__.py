@@ -1,5 +1,6 @@
 """Figures of maps, datasets and the outputs of models, and the report page."""
 
+from mapdata.plotting.comparison import plot_planners
 from mapdata.plotting.figures import plot_distributions, plot_figure, plot_gallery
 from mapdata.plotting.html_report import report
 from mapdata.plotting.plot import (
@@ -12,7 +13,6 @@ from mapdata.plotting.plot import (
     plot_map,
     plot_matrix,
     plot_path,
-    plot_planners,
     write_figure,
 )
 from mapdata.plotting.plot_models import plot_prediction, plot_roadmap, plot_sample

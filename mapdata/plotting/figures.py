@@ -183,7 +183,8 @@ def plot_figure(
     elif figure == "map":
         axes = [plot_map(labels, i, paper_colours=paper_colours)]
     elif figure == "path":
-        axes = new_axes(1, 2, (11, 8))
+        rows, columns = labels.maps.occupancy.shape[1:]
+        axes = new_axes(1, 2, (11, 5.5 * min(rows / columns, 1) + 2.5))
         for search, ax in zip(SEARCHES, axes, strict=True):
             plot_path(labels, i, search, ax, paper_colours=paper_colours)
     elif figure == "search":

@@ -19,11 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mapdata.arrays import Array
-from mapdata.checks import check_choice
 from mapdata.shards.files import StrPath, write_output
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -91,7 +89,7 @@ def plot_grid(
         paper_colours: free black, occupied white.
         terrain: (H, W), the cost of each cell, drawn as a shade of the free cells; high is dark.
     """
-    axes = axes or new_axes()[0]
+    axes = axes or new_axes(size=panel_size(np.shape(occupancy), 5.42, (0.58, 1.08)))[0]
     if paper_colours:
         colour_map = "gray"
         max_shade = 1.0
@@ -249,109 +247,6 @@ def matrices_are_equal(labels: Labels, i: int) -> bool:
     return np.array_equal(labels.matrix("bfs", i), labels.matrix("astar", i))
 
 
-def plot_planners(table: pd.DataFrame, axes: Axes | None = None, *, subset: str = "hard") -> Axes:
-    """Draw the cost ratio of each planner against its expansion ratio; left and low is good.
-
-    Bars are 95 % intervals. Each mark has a number, from left to right, and the key beside the axes
-    has the names of the planners by number. Marks that crowd share a label, such as "2, 3".
-
-    Args:
-        table: what `evaluate` returns.
-        axes: where to draw; default a new figure.
-        subset: "hard" or "all".
-    """
-    check_choice("subset", subset, ("hard", "all"))
-    axes = axes or new_axes(size=(7, 5))[0]
-    rows = table[table["subset"] == subset]
-    colour = COLOURS["astar"]
-    for row in rows.to_dict("records"):
-        x = row["expansion_ratio"]
-        y = row["cost_ratio"]
-        for interval in (
-            axes.hlines(y, row["expansion_ratio_low"], row["expansion_ratio_high"], colour),
-            axes.vlines(x, row["cost_ratio_low"], row["cost_ratio_high"], colour),
-        ):
-            interval.set_linewidth(1)
-        axes.plot(x, y, "o", color=colour, fillstyle="none", mew=2, ms=8, label=row["planner"])
-    axes.set_xscale("log", base=2)
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.margins(0.12, 0.2)  # room for numbers
-    axes.set(
-        xlabel="expansions / expansions of A* (mean); left is better",
-        ylabel="cost / optimal cost (mean of the solved); low is better",
-        title=f"{subset} problems: {rows['n'].max()}",
-    )
-    axes.grid(alpha=0.3)
-    _number_marks(axes, rows.set_index("planner")[["expansion_ratio", "cost_ratio"]])
-    return axes
-
-
-def _number_marks(axes: Axes, marks: pd.DataFrame) -> None:
-    """Write numbers above marks, and a key of their names beside the axes.
-
-    Args:
-        axes: with the marks.
-        marks: x and y of each mark, by its name; those that are not finite are left out.
-    """
-    from matplotlib import rcParams
-    from matplotlib.lines import Line2D
-
-    finite = marks[np.isfinite(marks).all(axis=1)]
-    if not len(finite):
-        return
-    order = np.lexsort(finite.to_numpy().T[::-1])  # by x, then by y
-    ordered = finite.iloc[order]
-    key = []
-    for k, name in enumerate(ordered.index):
-        size = 6 if k < 9 else 8  # of the height or width of a number, whichever is larger
-        handle = Line2D([], [], linestyle="none", marker=f"${k + 1}$", ms=size, mew=0.2, label=name)
-        handle.set_color(rcParams["text.color"])
-        key.append(handle)
-    axes.legend(handles=key, loc="upper left", bbox_to_anchor=(1, 1), fontsize="small")
-    figure: Any = axes.figure  # matplotlib's type hints also allow None here
-    figure.draw_without_rendering()  # makes the layout, which the key changes
-    points = axes.transData.transform(ordered.to_numpy()) * 72 / figure.dpi
-    for group in _groups_of_labels(points):
-        foot = axes.transData.inverted().transform(_label_foot(points[group]) * figure.dpi / 72)
-        axes.annotate(
-            ", ".join(str(k + 1) for k in group),
-            (foot[0], foot[1]),
-            (0, _LABEL_GAP),
-            textcoords="offset points",
-            ha="center",
-            fontsize="small",
-        )
-
-
-_LABEL_GAP = 7
-"""Points between the middle of a mark and the label above it."""
-
-_LABEL_SIZE = (8.0, 13.0)
-"""Width of a number in a label and height of a label, in points, with some space around them."""
-
-
-def _label_foot(points: Array) -> Array:
-    """Return the (x, y) below the label of marks at ``points``, (n, 2)."""
-    return np.array([points[:, 0].mean(), points[:, 1].max()])
-
-
-def _groups_of_labels(points: Array) -> list[list[int]]:
-    """Return the marks at ``points``, (n, 2), in groups whose labels do not cover each other."""
-    groups = [[k] for k in range(len(points))]
-    k = 0
-    while k < len(groups):
-        for j in range(k):
-            feet = [_label_foot(points[groups[i]]) for i in (j, k)]
-            distance = np.abs(feet[0] - feet[1])
-            digits = len(groups[j]) + len(groups[k])
-            if distance[0] < digits * _LABEL_SIZE[0] and distance[1] < _LABEL_SIZE[1]:
-                groups[j] = sorted(groups[j] + groups.pop(k))
-                k = 0  # The label became wider and may cover others now.
-                break
-        k += 1
-    return groups
-
-
 def plot_cells(
     axes: Axes,
     path: Array,
@@ -496,6 +391,24 @@ def write_figure(figure: Figure, path: StrPath) -> None:
     picture_format = Path(path).suffix[1:] or "png"
     figure.savefig(picture, format=picture_format, dpi=150, bbox_inches="tight")
     write_output(path, picture.getvalue())
+
+
+def panel_size(
+    map_size: tuple[int, ...], side: float, room: tuple[float, float]
+) -> tuple[float, float]:
+    """Return the width and height of a figure of one map, in inches: it has the map's proportions.
+
+    Args:
+        map_size: (rows, cols) of the map.
+        side: the longer side of the map in the figure, in inches. A narrow map still has a width of
+            0.8 of it, so that title and legend fit, and a flat one a height of 0.1.
+        room: width and height about the map, for labels and a title, in inches.
+    """
+    rows, columns = map_size
+    inches_per_cell = side / max(rows, columns)
+    width = max(columns * inches_per_cell, 0.8 * side)
+    height = max(rows * inches_per_cell, 0.1 * side)
+    return width + room[0], height + room[1]
 
 
 def new_axes(rows: int = 1, columns: int = 1, size: tuple[float, float] = (6, 6.5)) -> list[Axes]:

@@ -1,4 +1,4 @@
-"""Figures of a sample, of a prediction with the true path, and of a roadmap.
+"""Figures of a sample, of a prediction with a shortest path, and of a roadmap.
 
 Each function draws on axes and returns them, as in `mapdata.plotting.plot`.
 """
@@ -13,10 +13,12 @@ from numpy.typing import ArrayLike
 
 from mapdata.arrays import Array, Ints
 from mapdata.limits import MAPS_AND_MASKS
+from mapdata.movement import Movement
 from mapdata.plotting.plot import (
     COLOURS,
     mark,
     new_axes,
+    panel_size,
     plot_cells,
     plot_ends,
     plot_grid,
@@ -84,7 +86,8 @@ def plot_sample(sample: tuple[Any, ...], axes: Axes | None = None) -> Axes:
     limits = _shade_limits(shade_name, shown, grid[:count])
     columns = math.ceil(math.sqrt(count))
     rows = math.ceil(count / columns)
-    all_axes = new_axes(rows, columns, (4.2 * columns, 4.2 * rows))
+    width, height = panel_size(grid.shape[-2:], 3.3, (0.9, 0.9))
+    all_axes = new_axes(rows, columns, (width * columns, height * rows))
     for k in range(count):
         one = {name: field[k] for name, field in shown.items()}
         image = _plot_problem(one, grid[k, 0], shade_name, limits, all_axes[k])
@@ -183,30 +186,37 @@ def plot_prediction(
     axes: Axes | None = None,
     *,
     scores: ArrayLike | None = None,
+    movement: Movement = Movement(8),
 ) -> Axes:
-    """Draw a predicted path beside a true one, and a cross on each predicted cell that is occupied.
+    """Draw a predicted path beside a shortest one, and crosses on predicted cells in walls.
+
+    The legend has the cost of each path, in cells, as if all free cells cost the same. For a
+    predicted path with a move to a cell that is no neighbour it has the number of its cells.
 
     Args:
         occupancy: (H, W), 0 free and 1 occupied.
         predicted: (k, 2) cells (row, col) of the predicted path, (0, 2) without a path; rows of -1,
             padding, are left out.
-        truth: (m, 2) cells of the true path, in the same form; without it, only the predicted path
-            is drawn.
+        truth: (m, 2) cells of a shortest path, in the same form; without it, only the predicted
+            path is drawn.
         axes: where to draw; default a new figure.
         scores: (H, W), scores of the model for each cell, drawn as a shade; high is dark.
+        movement: what a diagonal move costs.
     """
     grid = np.asarray(occupancy)
     axes = plot_grid(grid, axes)
     if scores is not None:
         axes.imshow(scores, cmap="Purples", alpha=0.6 * (grid == 0), interpolation="nearest")
     path = _without_padding(predicted)
-    true_path = path[:0]
+    shortest = path[:0]
     if truth is not None:
-        true_path = _without_padding(truth)
-        plot_cells(axes, true_path, COLOURS["astar"], _path_label("true", true_path), lane=-1)
-    # Beside a true path, the predicted one is moved aside, so that both can be seen.
+        shortest = _without_padding(truth)
+        label = _path_label("shortest", shortest, movement)
+        plot_cells(axes, shortest, COLOURS["astar"], label, lane=-1)
+    # Beside a shortest path, the predicted one is moved aside, so that both can be seen.
     lane = 0 if truth is None else 1
-    plot_cells(axes, path, COLOURS["predicted"], _path_label("predicted", path), lane=lane)
+    label = _path_label("predicted", path, movement)
+    plot_cells(axes, path, COLOURS["predicted"], label, lane=lane)
     is_inside = ((path >= 0) & (path < grid.shape)).all(axis=1)
     inside = path[is_inside]
     collisions = inside[grid[inside[:, 0], inside[:, 1]] == 1]
@@ -218,12 +228,12 @@ def plot_prediction(
             color=_COLLISION_COLOUR,
             ms=7,
             mew=2,
-            label=f"{len(collisions)} in occupied cells",
+            label=f"{len(collisions)} in walls",
         )
-    path_with_ends = true_path if len(true_path) else path
+    path_with_ends = shortest if len(shortest) else path
     if len(path_with_ends):
         plot_ends(path_with_ends[0], path_with_ends[-1], axes)
-    put_header(axes, "predicted path" if truth is None else "predicted and true path")
+    put_header(axes, "predicted path" if truth is None else "predicted and shortest path")
     return axes
 
 
@@ -268,9 +278,16 @@ def _is_dense(name: str, field: Array, grid: Array) -> bool:
     return field.shape == grid.shape and name not in (*MAPS_AND_MASKS, "optimal_moves")
 
 
-def _path_label(name: str, path: Ints) -> str:
+def _path_label(name: str, path: Ints, movement: Movement) -> str:
     """Return the text of a path, (k, 2), in a legend."""
-    return f"{name}, {len(path)} cells" if len(path) else f"{name}: no path"
+    if len(path) == 0:
+        return f"{name}: no path"
+    steps = np.abs(np.diff(path, axis=0))
+    if (steps.max(axis=1) != 1).any():
+        return f"{name}, {len(path)} cells"
+    diagonal_moves = int((steps.min(axis=1) == 1).sum())
+    cost = len(steps) + diagonal_moves * (movement.diagonal_cost - 1)
+    return f"{name}, cost {cost:.5g}"
 
 
 def _without_padding(path: ArrayLike) -> Ints:

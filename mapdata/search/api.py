@@ -599,8 +599,24 @@ def check_path(
     reason = why_not_free(array, cells[bad_cell])
     if reason:
         raise ValueError(f"path: cell {bad_cell}, {reason}")
-    step = f"from {tuple(cells[bad_cell - 1].tolist())} to {tuple(cells[bad_cell].tolist())}"
-    raise ValueError(f"path: step {bad_cell - 1}, {step}, is not a move of {movement}")
+    raise ValueError(f"path: move {bad_cell - 1}, {_why_no_move(cells[bad_cell - 1 :], movement)}")
+
+
+def _why_no_move(cells: Ints, movement: Movement) -> str:
+    """Return why there is no legal move from the first of ``cells``, (n, 2), to the second.
+
+    Both are free cells.
+    """
+    start, end = (tuple(cell) for cell in cells[:2].tolist())
+    step = f"from {start} to {end},"
+    distance = np.abs(cells[1] - cells[0]).max()
+    if distance == 0:
+        return f"{step} stays on its cell"
+    if distance > 1:
+        return f"{step} leads to no neighbour"
+    if movement.connectivity == 4:
+        return f"{step} is diagonal (a Movement with connectivity=8 allows it)"
+    return f"{step} cuts a corner (a Movement with corner_cutting=True allows it)"
 
 
 def _search(

@@ -14,14 +14,17 @@ import pytest
 
 from mapdata import MapSpec, Movement, ProblemSet, Random, build, evaluate
 from mapdata.cli import main
+from mapdata.cli.evaluate import SHORT_TABLE
 from mapdata.evaluation import TIMES, classical
 
 DUNGEON = MapSpec.preset("dungeon")
 
 MODULE = """
+import sys
+
 import numpy as np
 
-from mapdata import Plan, astar
+from mapdata import Movement, Plan, astar
 
 
 class Mine:
@@ -33,6 +36,21 @@ class Mine:
     def plan(self, grid, start, goal):
         found = astar(grid, start, goal, self.movement)
         return Plan(found.path, found.iterations)
+
+
+class CutsCorners:
+    name = "cuts corners"
+
+    def plan(self, grid, start, goal):
+        found = astar(grid, start, goal, Movement(8, corner_cutting=True))
+        return Plan(found.path, found.iterations)
+
+
+class GivesUp(Mine):
+    name = "gives up"
+
+    def plan(self, grid, start, goal):
+        return Plan(np.empty((0, 2), np.int64), 1)
 
 
 class ReturnsAList(Mine):
@@ -49,6 +67,41 @@ class Fails(Mine):
         raise ValueError("my own mistake")
 
 
+class FailsLate(Mine):
+    name = "fails late"
+    calls = 0
+
+    def plan(self, grid, start, goal):
+        self.calls += 1
+        if self.calls == 4:
+            raise KeyError(start)
+        return super().plan(grid, start, goal)
+
+
+class ReportsItsCalls(Mine):
+    name = "reports its calls"
+    calls = 0
+
+    def plan(self, grid, start, goal):
+        self.calls += 1
+        print("call", self.calls, file=sys.stderr)
+        return super().plan(grid, start, goal)
+
+
+class Leaves(Mine):
+    name = "leaves"
+
+    def plan(self, grid, start, goal):
+        raise SystemExit(0)
+
+
+class TakesAMap(Mine):
+    name = "takes a map"
+
+    def plan(self, grid):
+        return None
+
+
 class Nameless(Mine):
     name = None
 
@@ -57,7 +110,6 @@ def make(movement):
     return Mine(movement)
 
 
-from mapdata import Movement
 instance = Mine(Movement(8))
 number = 3
 """
@@ -80,6 +132,12 @@ def rows_of(file: Path) -> list[dict[str, object]]:
     return [{key: row[key] for key in row if not times.match(key)} for row in rows]
 
 
+def short(movement: Movement, terrain: bool = False) -> list[str]:
+    """Return the names of the classical planners that the command shows by default."""
+    names = [planner.name for planner in classical(movement, terrain=terrain)]
+    return [name for name in names if name in SHORT_TABLE]
+
+
 @pytest.mark.parametrize("name", ["Mine", "make", "instance"])
 def test_a_planner_of_ones_own_is_a_row(
     module: str, name: str, capsys: pytest.CaptureFixture[str]
@@ -89,7 +147,7 @@ def test_a_planner_of_ones_own_is_a_row(
         ["evaluate", "dungeon", "--maps", "9", "--planner", f"{module}:{name}", "--json", "a.json"]
     )
     rows = {(row["planner"], row["subset"]): row for row in rows_of(Path("a.json"))}
-    assert len(rows) == 2 * (len(classical(Movement(8))) + 1)
+    assert list(dict.fromkeys(name for name, _ in rows)) == ["mine", *short(Movement(8))]
     for subset in ("all", "hard"):
         expected = {**rows["A*", subset], "planner": "mine"}
         assert rows["mine", subset] == expected
@@ -110,7 +168,7 @@ def test_a_file_a_dataset_and_a_preset(tmp_path: Path, capsys: pytest.CaptureFix
         (["dungeon", "--maps", "12"], preset),
         ([str(tmp_path / "maps"), "--connectivity", "4"], dataset),
     ):
-        main(["evaluate", *arguments, "--json", str(json_file)])
+        main(["evaluate", *arguments, "--full", "--json", str(json_file)])
         table = evaluate(classical(problems.movement), problems)
         table.to_json(tmp_path / "expected.json", orient="records")
         for row, expected in zip(
@@ -166,14 +224,83 @@ def test_terrain_has_its_own_planners(tmp_path: Path) -> None:
     """Those that take costs, and A* on mean cost."""
     file = tmp_path / "out.json"
     main(["evaluate", "tiles", "--maps", "3", "--json", str(file)])
-    expected = [planner.name for planner in classical(Movement(8), terrain=True)]
+    expected = short(Movement(8), terrain=True)
+    assert expected[-1] == "A* on mean cost"
     assert [row["planner"] for row in rows_of(file)] == 2 * expected
 
 
-def test_the_figure_is_written(tmp_path: Path) -> None:
-    """A PNG file, of the hard problems."""
-    main(["evaluate", "dungeon", "--maps", "12", "--figure", str(tmp_path / "planners.png")])
-    assert (tmp_path / "planners.png").read_bytes().startswith(b"\x89PNG")
+def test_the_table_is_short_unless_all_of_it_is_asked_for(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """It fits into a terminal of 100 letters, and says how to see more."""
+    main(["evaluate", "dungeon", "--maps", "3"])
+    out = capsys.readouterr().out
+    assert "weighted A* (2)" in out
+    assert "weighted A* (3)" not in out
+    table = [line for line in out.splitlines() if "±" in line]
+    assert max(map(len, table)) <= 100
+    more = len(classical(Movement(8))) - len(short(Movement(8)))
+    assert f"--full shows {more} more classical planners, and all columns" in out
+    main(["evaluate", "dungeon", "--maps", "3", "--full"])
+    out = capsys.readouterr().out
+    assert [name for name in ("weighted A* (3)", "hmean", "ms_batched") if name not in out] == []
+    assert "--full" not in out
+
+
+def test_every_planner_of_ones_own_is_a_row(
+    module: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They come first, in their order, and a line says what became of the paths of each."""
+    names = ("Mine", "CutsCorners", "GivesUp")
+    flags = [word for name in names for word in ("--planner", f"{module}:{name}")]
+    main(["evaluate", "dungeon", "--maps", "9", *flags, "--json", "a.json"])
+    out, err = capsys.readouterr()
+    assert "warning" not in err  # what it would say stands in these lines
+    rows = rows_of(Path("a.json"))
+    assert [row["planner"] for row in rows[:4]] == ["mine", "cuts corners", "gives up", "A*"]
+    (refused,) = [row["refused"] for row in rows if row["planner"] == "cuts corners"][:1]
+    assert "\nmine: all 9 problems solved\n" in out
+    assert re.search(
+        rf"^cuts corners: {refused} of 9 paths refused, first problem \d: move \d+, from .* to .*, "
+        r"cuts a corner \(a Movement with corner_cutting=True allows it\)$",
+        out,
+        re.MULTILINE,
+    )
+    assert "\ngives up: no path for 9 of 9 problems\n" in out
+    assert "nan" not in out
+
+
+def test_a_seed_of_ones_own_gives_other_problems(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of a preset other maps, of a dataset other problems on the same maps."""
+    build(tmp_path / "maps", DUNGEON, maps=60, seed=9, shard_size=60, workers=1)
+    main(["evaluate", "dungeon", "--maps", "3", "--seed", "4711"])
+    expected = ProblemSet.sample("dungeon", 4711, 3, movement=Movement(8))
+    assert expected.content_hash[:12] in capsys.readouterr().out
+    main(["evaluate", str(tmp_path / "maps"), "--seed", "4711"])
+    expected = ProblemSet.read(tmp_path / "maps", movement=Movement(8), seed=4711)
+    assert expected.content_hash[:12] in capsys.readouterr().out
+
+
+def test_the_progress_bar_begins_after_the_first_call_of_each_planner(
+    module: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Kernels are compiled in these calls: a bar that counts them is hours off."""
+    main(["evaluate", "dungeon", "--maps", "3", "--planner", f"{module}:ReportsItsCalls"])
+    err = capsys.readouterr().err
+    assert err.index("call 1") < err.index("0/") < err.index("call 2")
+
+
+def test_the_figure_is_written(module: str) -> None:
+    """A PNG file, of the hard problems, with the names of one's own planners."""
+    flags = ["--planner", f"{module}:Mine", "--planner", f"{module}:GivesUp"]
+    main(["evaluate", "dungeon", "--maps", "12", "--figure", "planners.png"])
+    assert Path("planners.png").read_bytes().startswith(b"\x89PNG")
+    main(["evaluate", "dungeon", "--maps", "12", *flags, "--figure", "planners.svg"])
+    words = re.findall("<!-- (.*) -->", Path("planners.svg").read_text())
+    assert "mine" in words
+    assert "not shown: gives up (solved none)" in words
 
 
 @pytest.mark.parametrize(
@@ -197,6 +324,20 @@ def test_the_figure_is_written(tmp_path: Path) -> None:
             ["dungeon", "--planner", "own_planners:Nameless"],
             "expected an object with a text 'name'",
         ),
+        (
+            ["dungeon", "--planner", "own_planners:ReturnsAList"],
+            "lists: plan returned list, expected a mapdata.Plan(path, expansions)",
+        ),
+        (["dungeon", "--planner", "own_planners:TakesAMap"], "TakesAMap.plan() takes 2 positional"),
+        (
+            [
+                "dungeon",
+                *("--planner", "own_planners:Mine"),
+                *("--planner", "own_planners:make"),
+            ],
+            "planners: several are named mine, expected different names",
+        ),
+        (["dungeon", "--seed", "1", "--seed", "2"], "--seed: given twice, expected once"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -212,18 +353,22 @@ def test_what_is_wrong_is_said_in_one_line(
     assert message in captured.err
 
 
-def test_an_answer_that_is_no_plan_is_refused(module: str) -> None:
-    """The message says what was returned."""
-    with pytest.raises(TypeError, match=r"lists: plan returned list, expected a mapdata\.Plan"):
-        main(["evaluate", "dungeon", "--maps", "2", "--planner", f"{module}:ReturnsAList"])
-
-
+@pytest.mark.parametrize(
+    ("name", "line", "last"),
+    [
+        ("Fails", 'raise ValueError("my own mistake")', "ValueError: my own mistake"),
+        ("FailsLate", "raise KeyError(start)", "KeyError: (13, 32)"),
+        ("Leaves", "raise SystemExit(0)", "SystemExit: 0"),
+    ],
+)
 def test_an_error_of_ones_own_code_shows_its_line(
-    module: str, capsys: pytest.CaptureFixture[str]
+    module: str, name: str, line: str, last: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A ValueError ends the command with one line; the traceback stands before it."""
-    with pytest.raises(SystemExit):
-        main(["evaluate", "dungeon", "--maps", "2", "--planner", f"{module}:Fails"])
+    """The traceback begins in that code, not in mapdata; the last line is the error."""
+    with pytest.raises(SystemExit) as error:
+        main(["evaluate", "dungeon", "--maps", "5", "--planner", f"{module}:{name}"])
+    assert error.value.code == 2
     err = capsys.readouterr().err
-    assert 'raise ValueError("my own mistake")' in err
-    assert err.endswith("mapdata: my own mistake\n")
+    assert line in err
+    assert "evaluation/metrics.py" not in err
+    assert err.endswith(f"mapdata: {last}\n")

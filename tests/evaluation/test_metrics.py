@@ -10,7 +10,6 @@ import runpy
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import chain, combinations
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -21,10 +20,6 @@ import pandas as pd
 import pytest
 import torch
 from helpers.reference import Cell
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.text import Annotation, Text
 from scipy import stats
 
 from mapdata import MapSpec, Plan, ProblemSet, astar, build, check_path, evaluate, search_batch
@@ -259,7 +254,7 @@ def test_the_table_has_two_rows_for_each_planner() -> None:
     assert table["planner"].tolist() == [planner.name for planner in planners] * 2
     assert table["subset"].tolist() == ["all"] * len(planners) + ["hard"] * len(planners)
     columns = ["planner", "subset", "n", *METRICS]
-    columns += ["prepared_ratio", "look_ratio", "ms", "ms_batched"]
+    columns += ["refused", "first_refused", "prepared_ratio", "look_ratio", "ms", "ms_batched"]
     assert table.columns.tolist() == columns + [
         f"{name}_{end}" for name in (*METRICS, *TIMES) for end in ("low", "high")
     ]
@@ -269,6 +264,27 @@ def test_the_table_has_two_rows_for_each_planner() -> None:
     assert "all: 3 problems" in text
     assert "hard: 1 problems, hardness at least 1.05" in text
     assert max(map(len, text.splitlines())) < 170
+    assert "nan" not in text
+
+
+def test_a_table_may_be_printed_with_few_columns() -> None:
+    """The planner comes first; a column that does not exist is refused by its name."""
+    table = evaluate(classical(Movement()), three(), bootstrap=5)
+    heading = to_text(table, ["opt", "ms"]).splitlines()[1]
+    assert heading.split() == ["planner", "opt", "ms"]
+    with pytest.raises(ValueError, match=r"columns: got 'ops', expected one of .* mean opt\?"):
+        to_text(table, ["ops"])
+
+
+@pytest.mark.filterwarnings("ignore:.*none of its paths solves its problem")
+def test_refused_paths_are_counted_and_the_first_has_its_reason() -> None:
+    """Problems without a path do not count, and each subset has its own first one."""
+    planner = Scripted([([], 1), ([(3, 1), (3, 3)], 1), ([(0, 0), (1, 0)], 1)])
+    table = evaluate([planner], three(), bootstrap=5)
+    every, hard = (row(table, "scripted", subset) for subset in ("all", "hard"))
+    reason = "problem 1: move 0, from (3, 1) to (3, 3), leads to no neighbour"
+    assert (every["refused"], every["first_refused"]) == (2, reason)
+    assert (hard["refused"], hard["first_refused"]) == (0, "")
 
 
 def test_only_planners_without_any_path_are_warned_of(recwarn: pytest.WarningsRecorder) -> None:
@@ -301,14 +317,180 @@ def test_other_paths_of_plan_batch_are_warned_of() -> None:
         evaluate([Functional(lambda *_: "path", "turned")], three())  # type: ignore[arg-type]
 
 
+COUNTS = {
+    -1: "got -1, expected a number of cells, 0 or more",
+    math.nan: "got nan, expected a number of cells, 0 or more",
+    math.inf: "got inf, expected a number of cells, 0 or more",
+    "5": "got '5', expected a number",
+    3j: "got 3j, expected a number",
+    True: "got True, expected a number",
+}
+
+
 @pytest.mark.parametrize("field", ["expansions", "prepared", "looks"])
-@pytest.mark.parametrize("count", [-1, math.nan, math.inf])
-def test_impossible_numbers_of_cells_are_refused(field: str, count: float) -> None:
+@pytest.mark.parametrize("count", COUNTS)
+def test_impossible_numbers_of_cells_are_refused(field: str, count: object) -> None:
     """They would make ratios that no planner can have."""
     numbers: dict[str, Any] = {"expansions": 4, field: count}
     plan = Plan(np.array(DOWN), **numbers)
-    with pytest.raises(ValueError, match=f"functional: {field}: got {count}, expected a number"):
+    with pytest.raises(ValueError, match=f"^functional: {field}: {COUNTS[count]}"):
         evaluate([Functional(lambda *_: plan)], three())
+
+
+@pytest.mark.parametrize(
+    ("count", "found"),
+    [
+        (None, "None"),
+        ([4], r"\[4\]"),
+        (np.array([4, 5]), r"an array of shape \(2,\)"),
+        (torch.tensor([4]), r"an array of shape \(1,\)"),
+    ],
+    ids=["None", "list", "array", "tensor"],
+)
+def test_expansions_that_are_no_number_are_refused(count: Any, found: str) -> None:
+    """The message says what was found instead."""
+    with pytest.raises(ValueError, match=f"functional: expansions: got {found}, expected a number"):
+        evaluate([Functional(lambda *_: Plan(np.array(DOWN), count))], three())
+
+
+@pytest.mark.parametrize("count", [np.int32(4), np.array(4), torch.tensor(4), 4.0])
+def test_expansions_may_be_numbers_of_other_libraries(count: Any) -> None:
+    """A search may count in an array or a tensor."""
+    planner = Functional(lambda *_: Plan(np.array(DOWN), count))
+    table = evaluate([planner], three()[[2]], bootstrap=5)
+    assert row(table, "functional", "all")["expansion_ratio"] == 1
+
+
+def no_path(*problem: object) -> Plan:
+    """Return that there is no path."""
+    return Plan(np.empty((0, 2), int), 1)
+
+
+BATCH_ANSWERS: dict[str, Callable[..., Any]] = {
+    "generator": lambda *problems: (plan for plan in [no_path()]),
+    "NoneType": lambda *problems: None,
+    "ndarray": lambda *problems: np.zeros(3),
+    "dict": lambda *problems: {0: 1, 1: 2, 2: 3},
+    "str": lambda *problems: "abc",
+    "Plan": lambda *problems: Plan(np.array(DOWN), 4),
+    "BatchResult": lambda *problems: search_batch("astar", *problems),
+}
+
+
+@pytest.mark.parametrize("kind", BATCH_ANSWERS)
+def test_a_plan_batch_that_returns_no_list_is_refused(kind: str) -> None:
+    """The message names the type, also of a tuple that is not one of plans."""
+    planner: Any = Scripted([(DETOUR, 1), ([], 1), ([], 1)], "own")
+    planner.plan_batch = BATCH_ANSWERS[kind]
+    with pytest.raises(TypeError, match=f"own: plan_batch returned {kind}, expected a list of "):
+        evaluate([planner], three())
+
+
+def test_a_list_of_plan_batch_holds_plans() -> None:
+    """The message says which method is meant."""
+    planner: Any = Scripted([(DETOUR, 1), ([], 1), ([], 1)], "own")
+    planner.plan_batch = lambda *problems: [None, None, None]
+    with pytest.raises(TypeError, match=r"plan_batch returned NoneType in its list, expected a "):
+        evaluate([planner], three())
+
+
+PATHS: dict[str, Any] = {
+    "got None, expected cells, or an empty array where there is no path": None,
+    "got shape () of <U3, expected (n, 2) integer cells (row, col)": "abc",
+    "got shape (1, 2) of float64, expected (n, 2) integer cells (row, col)": [[math.nan, 1.0]],
+    "got shape (1, 2) of complex128, expected (n, 2) integer cells (row, col)": [[1j, 1]],
+    "got list, expected an array of cells: ": [[1, 2], [3]],
+    "got Tensor, expected an array of cells: ": torch.ones(2, 2, requires_grad=True),
+}
+
+
+@pytest.mark.filterwarnings("ignore:.*none of its paths solves its problem")
+@pytest.mark.parametrize("reason", PATHS)
+def test_what_is_no_path_is_refused_with_a_reason(reason: str) -> None:
+    """Such a planner fails; it does not end the comparison."""
+    planner = Functional(lambda *_: Plan(PATHS[reason], 1))
+    found = row(evaluate([planner], three(), bootstrap=5), "functional", "all")
+    assert found["refused"] == 3
+    assert found["first_refused"].startswith(f"problem 0: {reason}")
+
+
+def test_every_planner_solves_a_problem_before_the_first_solves_all() -> None:
+    """So an error of the last one does not come after the work of all others."""
+    calls = []
+
+    def count(grid: Grid, start: Cell, goal: Cell) -> Plan:
+        calls.append(goal)
+        return Plan(np.empty((0, 2), int), 1)
+
+    with pytest.raises(TypeError, match="last: plan returned str"):
+        evaluate([Functional(count), Functional(lambda *_: "path", "last")], three())  # type: ignore[arg-type]
+    assert calls == GOALS[:1]
+
+
+@pytest.mark.parametrize(
+    ("planners", "message"),
+    [
+        (None, "planners: got NoneType, expected a list of planners"),
+        ([SimpleNamespace(name=None, plan=no_path)], "the name of a SimpleNamespace is None"),
+        ([SimpleNamespace(name=["a"], plan=no_path)], r"name of a SimpleNamespace is \['a'\]"),
+        ([SimpleNamespace(name="own", plan=3)], "planners: own: plan is no method"),
+        (
+            [SimpleNamespace(name="own", plan=no_path, plan_batch=3)],
+            "planners: own: plan_batch is no method",
+        ),
+    ],
+    ids=["None", "no name", "a list as name", "no method", "no method for batches"],
+)
+def test_what_is_no_planner_is_refused(planners: Any, message: str) -> None:
+    """The message says what was found."""
+    with pytest.raises(TypeError, match=message):
+        evaluate(planners, three())
+
+
+def test_a_baseline_expands_cells() -> None:
+    """No number can be divided by 0 expansions."""
+    planner = Functional(lambda *_: Plan(np.empty((0, 2), int), 0))
+    with pytest.raises(ValueError, match="baseline: functional expanded no cell on problem 0"):
+        evaluate([planner], three(), baseline="functional")
+
+
+@pytest.mark.parametrize("seed", [-1, 2.5, None])
+def test_a_seed_of_resamples_is_an_unsigned_integer(seed: Any) -> None:
+    """The messages of numpy do not name the argument."""
+    planner = Scripted([(DETOUR, 1), ([], 1), ([], 1)])
+    with pytest.raises(ValueError, match=f"seed: got {seed}, expected"):
+        evaluate([planner], three(), seed=seed)
+
+
+@pytest.mark.parametrize(
+    ("iterations", "message"),
+    [
+        ([4, -5, 4], "paths: iterations: got -5, expected a number of cells, 0 or more"),
+        ([4, math.nan, 4], "paths: iterations: got nan, expected a number of cells"),
+        (["a", "b", "c"], "paths: iterations: got .*'a'.*, expected a number"),
+        ([4, 5], r"paths: got iterations of shape \(2,\) for 3 paths"),
+    ],
+    ids=["negative", "NaN", "text", "too few"],
+)
+def test_scores_refuse_impossible_expansions(iterations: list[Any], message: str) -> None:
+    """As `evaluate` does."""
+    problems = three()
+    paths = search_batch("astar", problems.grids, problems.starts, problems.goals, Movement())
+    with pytest.raises(ValueError, match=message):
+        score_paths(problems, paths._replace(iterations=np.array(iterations)), bootstrap=5)
+
+
+@pytest.mark.parametrize("paths", [None, 3, "abc", {0: [], 1: [], 2: []}, iter([[], [], []])])
+def test_scores_refuse_what_is_no_list_of_paths(paths: Any) -> None:
+    """The message says what was found."""
+    with pytest.raises(TypeError, match=rf"paths: got {type(paths).__name__}, expected what"):
+        score_paths(three(), paths)
+
+
+def test_scores_refuse_what_is_no_problem_set() -> None:
+    """As `evaluate` does."""
+    with pytest.raises(TypeError, match="problems: got str, expected a ProblemSet"):
+        score_paths("dungeon.npz", [])  # type: ignore[arg-type]
 
 
 def test_what_is_no_list_of_planners_is_refused() -> None:
@@ -323,7 +505,7 @@ def test_scores_of_paths_none_of_which_is_right_are_warned_of() -> None:
     """For example with starts and goals exchanged."""
     problems = three()
     paths = search_batch("astar", problems.grids, problems.goals, problems.starts, Movement())
-    message = r"paths: none of its paths solves .* problem 0: from \(0, 2\) to \(0, 0\), expected"
+    message = r"paths: none of its paths solves .* 0: it leads from \(0, 2\) to \(0, 0\), expected"
     with pytest.warns(UserWarning, match=message) as said:
         score_paths(problems, paths, bootstrap=5)
     assert said[0].filename == __file__
@@ -485,7 +667,7 @@ def test_bad_arguments_are_refused() -> None:
     planners = classical(Movement())
     with pytest.raises(ValueError, match="planners"):
         evaluate([], three())
-    with pytest.raises(ValueError, match=r"'A\*', 'A\*'"):
+    with pytest.raises(ValueError, match=r"several are named A\*, expected different names"):
         evaluate([planners[2], planners[2]], three())
 
     def plan(grid: Grid, start: Cell, goal: Cell) -> Plan:
@@ -667,88 +849,6 @@ def test_the_script_loads_weights_for_the_movement_of_the_problems(
     cut.save(tmp_path / "cut.npz")
     run(str(tmp_path / "cut.npz"))
     assert "path_predictor (search)" in capsys.readouterr().out
-
-
-def numbers_of(axes: Axes) -> dict[int, str]:
-    """Return the name of each number in the key of a figure."""
-    legend = axes.get_legend()
-    assert legend is not None
-    handles = [handle for handle in legend.legend_handles if isinstance(handle, Line2D)]
-    numbers = [int(str(handle.get_marker()).strip("$")) for handle in handles]
-    return dict(zip(numbers, [text.get_text() for text in legend.get_texts()], strict=True))
-
-
-def test_the_figure_numbers_every_planner() -> None:
-    """From left to right, and the axes say what they are."""
-    movement = Movement(8)
-    table = evaluate(classical(movement), three(movement), bootstrap=5)
-    axes = plot_planners(table, subset="all")
-    rows = table[table["subset"] == "all"]
-    marks = {
-        line.get_label(): tuple(map(float, (*line.get_xdata(), *line.get_ydata())))  # type: ignore[misc]
-        for line in axes.get_lines()
-    }
-    measured = zip(rows["expansion_ratio"], rows["cost_ratio"], strict=True)
-    assert marks == dict(zip(rows["planner"], measured, strict=True))
-    names = numbers_of(axes)
-    assert list(names) == list(range(1, len(marks) + 1))
-    assert [marks[name] for name in names.values()] == sorted(marks.values())
-    assert "expansions" in axes.get_xlabel()
-    assert "cost" in axes.get_ylabel()
-
-
-CROWDED = {
-    "BFS": (17.087, 1.0),
-    "Dijkstra": (16.134, 1.0),
-    "A*": (1.0, 1.0),
-    "weighted A* (1.1)": (0.691, 1.0048),
-    "weighted A* (1.25)": (0.55, 1.0096),
-    "weighted A* (1.5)": (0.479, 1.0096),
-    "weighted A* (2)": (0.442, 1.0096),
-    "weighted A* (3)": (0.418, 1.0096),
-    "greedy best-first": (0.41, 1.0163),
-    "jump point search": (0.159, 1.0),
-    "A* with the exact goal field": (0.398, 1.0),
-    "limit": (0.398, 1.0),
-    "path_predictor (walk)": (0.398, 1.0),
-    "path_predictor (search)": (0.409, 1.0),
-}
-"""The (expansion ratio, cost ratio) of planners on the hard problems of a small .scen."""
-
-
-def test_each_number_is_above_its_mark_where_marks_crowd() -> None:
-    """Each number is written once, no label covers another, and its marks are right below it."""
-    rows = [
-        {
-            "planner": name,
-            "subset": "hard",
-            "n": 5,
-            "expansion_ratio": x,
-            "expansion_ratio_low": x / 1.5,
-            "expansion_ratio_high": x * 1.5,
-            "cost_ratio": y,
-            "cost_ratio_low": 1.0,
-            "cost_ratio_high": 1 + 3 * (y - 1),
-        }
-        for name, (x, y) in CROWDED.items()
-    ]
-    figure = Figure(figsize=(7, 6), layout="constrained")
-    axes = plot_planners(pd.DataFrame(rows), figure.add_subplot())
-    figure.draw_without_rendering()
-    names = numbers_of(axes)
-    assert set(names.values()) == set(CROWDED)
-    labels = [text for text in axes.texts if isinstance(text, Annotation)]
-    groups = [[int(number) for number in label.get_text().split(", ")] for label in labels]
-    assert sorted(chain(*groups)) == list(names)
-    boxes = [Text.get_window_extent(label) for label in labels]
-    for box, other in combinations(boxes, 2):
-        assert not box.overlaps(other)
-    for box, group in zip(boxes, groups, strict=True):
-        marks = axes.transData.transform([CROWDED[names[number]] for number in group])
-        below = (box.y0 - marks[:, 1]) * 72 / figure.dpi
-        assert below.min() > 0
-        assert below.max() < 20
-        assert abs((box.x0 + box.x1) / 2 - marks[:, 0].mean()) < 1
 
 
 def test_differences_are_those_of_scipys_paired_bootstrap() -> None:

@@ -15,7 +15,7 @@ from helpers.samples import WIDE, build_small
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PathCollection
 
-from mapdata import MapDataset, Maze, OnlineMapDataset, Sample, Terrain, generate
+from mapdata import MapDataset, Maze, Movement, OnlineMapDataset, Sample, Terrain, generate
 from mapdata.plotting import COLOURS, plot_prediction, plot_roadmap, plot_sample
 
 
@@ -162,7 +162,14 @@ def test_waypoints_are_drawn_as_points_of_a_line(tmp_path: Path) -> None:
     assert len(plot_sample(refused).get_lines()) == 0
 
 
-def test_a_prediction_is_drawn_with_the_true_path_and_marks_collisions() -> None:
+def legend_of(axes: Axes) -> list[str]:
+    """Return the words of a legend."""
+    legend = axes.get_legend()
+    assert legend is not None
+    return [text.get_text() for text in legend.get_texts()]
+
+
+def test_a_prediction_is_drawn_with_the_shortest_path_and_marks_collisions() -> None:
     """Padding is left out, and crosses mark the predicted cells that are occupied."""
     grid = np.zeros((6, 8), np.uint8)
     grid[2, 2:5] = 1
@@ -176,14 +183,50 @@ def test_a_prediction_is_drawn_with_the_true_path_and_marks_collisions() -> None
     assert_lines(drawn(axes, "#E69F00"), [predicted[1:4]])
     assert ends_of(axes) == {"S": (2, 1), "G": (2, 5)}
     assert_tidy(figure_of(axes))
-    legend = plot_prediction(grid, np.empty((0, 2)), truth).get_legend()
-    assert legend is not None
-    assert "predicted: no path" in [text.get_text() for text in legend.get_texts()]
+    # Its last step is a jump, so that it has no cost.
+    assert legend_of(axes) == ["shortest, cost 6", "predicted, 6 cells", "3 in walls"]
+    assert "predicted: no path" in legend_of(plot_prediction(grid, np.empty((0, 2)), truth))
     plot_prediction(grid, np.empty((0, 2)), np.empty((0, 2)))
 
 
-def test_a_prediction_is_drawn_without_a_true_path() -> None:
-    """The path lies on the middles of its cells, and nothing is drawn or named as true."""
+def test_the_legend_of_a_prediction_has_the_costs_of_both_paths() -> None:
+    """Of a diagonal move as the movement says; two shortest paths have one cost."""
+    grid = np.zeros((6, 8), np.uint8)
+    predicted = [[2, 1], [3, 2], [3, 3]]
+    truth = [[2, 1], [2, 2], [3, 3]]
+    axes = plot_prediction(grid, predicted, truth)
+    assert legend_of(axes) == ["shortest, cost 2.4142", "predicted, cost 2.4142"]
+    assert axes.get_title() == "predicted and shortest path"
+    movement = Movement(8, diagonal_cost=1)
+    axes = plot_prediction(grid, predicted, truth, movement=movement)
+    assert legend_of(axes) == ["shortest, cost 2", "predicted, cost 2"]
+
+
+@pytest.mark.parametrize("shape", [(64, 64), (220, 300), (300, 220), (20, 200), (200, 20), (1, 9)])
+def test_a_figure_has_the_proportions_of_its_map(shape: tuple[int, int]) -> None:
+    """No more than words need is blank above, below and beside it, except beside a narrow map."""
+    grid = np.zeros(shape, np.uint8)
+    ends = [[0, 0], [0, 1]]
+    axes = plot_prediction(grid, ends, ends)
+    figure = figure_of(axes)
+    assert_tidy(figure)
+    width, height = np.array([axes.bbox.width, axes.bbox.height]) / figure.dpi
+    figure_width, figure_height = figure.get_size_inches()
+    assert figure_height - height < 1.25 or height < 0.6
+    assert figure_width - width < 0.9 or shape[0] > shape[1]
+    assert figure_width <= 6
+    assert figure_height <= 6.5
+
+
+def test_the_figure_of_a_batch_has_the_proportions_of_its_maps(tmp_path: Path) -> None:
+    """Here maps are 9 x 70, so that rows of maps are lower than columns are wide."""
+    dataset = MapDataset(build_small(tmp_path / "d", WIDE))
+    width, height = figure_of(plot_sample(dataset[:4])).get_size_inches()
+    assert height < width / 3
+
+
+def test_a_prediction_is_drawn_without_a_shortest_path() -> None:
+    """The path lies on the middles of its cells, and nothing else is drawn or named."""
     grid = np.zeros((6, 8), np.uint8)
     predicted = np.array([[2, 1], [1, 1], [1, 2]])
     axes = plot_prediction(grid, predicted)
@@ -191,9 +234,7 @@ def test_a_prediction_is_drawn_without_a_true_path() -> None:
     assert not drawn(axes, COLOURS["astar"])
     assert ends_of(axes) == {"S": (2, 1), "G": (1, 2)}
     assert axes.get_title() == "predicted path"
-    legend = axes.get_legend()
-    assert legend is not None
-    assert "true" not in str([text.get_text() for text in legend.get_texts()])
+    assert legend_of(axes) == ["predicted, cost 2"]
 
 
 def test_roadmap_shows_samples_edges_and_path() -> None:

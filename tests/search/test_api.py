@@ -559,6 +559,33 @@ def test_check_path_names_the_first_bad_step(
     assert not re.search(named((9, 9)), str(error.value))
 
 
+@pytest.mark.parametrize(
+    ("path", "movement", "reason"),
+    [
+        ([(0, 1), (0, 1)], Movement(), "(0, 1) to (0, 1), stays on its cell"),
+        ([(0, 1), (0, 3)], CUTTING, "(0, 1) to (0, 3), leads to no neighbour"),
+        ([(0, 1), (2, 2)], CUTTING, "(0, 1) to (2, 2), leads to no neighbour"),
+        (
+            [(0, 3), (1, 4)],
+            Movement(),
+            "(0, 3) to (1, 4), is diagonal (a Movement with connectivity=8 allows it)",
+        ),
+        (
+            [(0, 1), (1, 0)],
+            OCTILE,
+            "(0, 1) to (1, 0), cuts a corner (a Movement with corner_cutting=True allows it)",
+        ),
+    ],
+    ids=["no move", "a jump", "a knight's move", "a diagonal", "a corner"],
+)
+def test_check_path_says_why_a_move_is_not_legal(
+    path: list[Cell], movement: Movement, reason: str
+) -> None:
+    """And which movement allows it, if one does."""
+    with pytest.raises(ValueError, match=f"^path: move 0, from {re.escape(reason)}$"):
+        check_path(WALLED, path, movement)
+
+
 def test_check_path_allows_what_the_movement_allows() -> None:
     """The same corner is free to cut with corner cutting, and a diagonal beside no wall without
     it.

@@ -663,7 +663,7 @@ def test_points_and_origins_of_another_shape_are_refused() -> None:
 def test_pulling_refuses_what_it_cannot_serve() -> None:
     """With the names of the arguments."""
     free = np.zeros((3, 4), np.uint8)
-    with pytest.raises(ValueError, match=r"path: step 0, from \(0, 0\) to \(0, 2\), is not a move"):
+    with pytest.raises(ValueError, match=r"path: move 0, from \(0, 0\) to \(0, 2\), leads"):
         pull_taut(free, [(0, 0), (0, 2)])
     with pytest.raises(ValueError, match="path: got no cell"):
         pull_taut(free, [])
@@ -677,5 +677,5 @@ def test_pulling_refuses_what_it_cannot_serve() -> None:
         path_waypoints(np.zeros((1, MAX_TAUT_SIDE + 1), np.uint8), [(0, 0)])
     with pytest.raises(ValueError, match="count: got 1, expected"):
         path_waypoints(free, [(0, 0)], 1)
-    with pytest.raises(ValueError, match=r"path: step 0, from \(0, 0\) to \(1, 1\)"):
+    with pytest.raises(ValueError, match=r"path: move 0, from \(0, 0\) to \(1, 1\)"):
         path_waypoints([[0, 1], [0, 0]], [(0, 0), (1, 1)])
