@@ -706,7 +706,13 @@ def main(arguments: list[str] | None = None) -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--set", action="append", choices=SETS, metavar="NAME", dest="sets")
-    parser.add_argument("--add", metavar="MODULE:NAME", help="measure this planner alone")
+    parser.add_argument(
+        "--add",
+        action="append",
+        default=[],
+        metavar="MODULE:NAME",
+        help="measure this planner alone; may be repeated",
+    )
     parser.add_argument("--pages", action="store_true", help="measure nothing")
     parser.add_argument("--transfer", action="store_true", help="the table of transfer")
     parser.add_argument("--steps", type=int, default=2000, help="of each of its trainings")
@@ -725,10 +731,10 @@ def main(arguments: list[str] | None = None) -> None:
     elif options.file:
         measure_file(results, options.file, options.weights, options.baseline, command)
     elif not options.pages:
-        own = own_planner(options.add, "--add") if options.add else None
+        own = [own_planner(reference, "--add") for reference in options.add]
         for name in options.sets or SETS:
             movement = RULES[SETS[name][1]]
-            rows = [own(movement)] if own else all_planners(movement)
+            rows = [make(movement) for make in own] or all_planners(movement)
             measure(results, name, rows, command)
             results.write(path)
             print(f"{name}\n\n{table_of(results, name)}\n", flush=True)

@@ -103,7 +103,13 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--size", type=int, default=64, help="rows and columns of a window")
     parser.add_argument("--hard", type=int, default=300, help="hard problems of a map")
     parser.add_argument("--corner-cutting", action="store_true", help="TransPath's rule")
-    parser.add_argument("--add", metavar="MODULE:NAME", help="measure this planner alone")
+    parser.add_argument(
+        "--add",
+        action="append",
+        default=[],
+        metavar="MODULE:NAME",
+        help="measure this planner alone; may be repeated",
+    )
     parser.add_argument("--folder", type=Path, default=DOCS, help="of results and pages")
     options = parser.parse_args(arguments)
     warnings.simplefilter("ignore")
@@ -111,10 +117,10 @@ def main(arguments: list[str] | None = None) -> None:
     path = options.folder / "planner_results.json"
     results = Results.read(path)
     run = this_run(" ".join(["python docs/zero_shot.py", *words_of(arguments or sys.argv[1:])]))
-    own = own_planner(options.add, "--add") if options.add else None
+    own = [own_planner(reference, "--add") for reference in options.add]
     ending = "-cut" if options.corner_cutting else ""
     movement = RULES[ending]
-    rows = [own(movement)] if own else all_planners(movement)
+    rows = [make(movement) for make in own] or all_planners(movement)
     for map_name, grid in grids_of(options.maps).items():
         problems = hard_problems(map_name, grid, movement, options.size, options.hard)
         if problems is None:

@@ -202,7 +202,9 @@ def _outcome(row: Mapping[Any, Any]) -> str:
     missing = count - solved - row["refused"]
     parts = []
     if row["refused"]:
-        parts.append(f"{row['refused']} of {count} paths refused, the first of {row['first_refused']}")
+        parts.append(
+            f"{row['refused']} of {count} paths refused, the first of {row['first_refused']}"
+        )
     if missing:
         parts.append(f"no path for {missing} of {count} problems")
     return "; ".join(parts) or f"all {count} problems solved"

@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mapdata.arrays import Flags, Floats
+from mapdata.arrays import Floats
 from mapdata.checks import check_choice
+from mapdata.plotting.label_places import Box, Drawing
 from mapdata.plotting.plot import new_axes
 
 if TYPE_CHECKING:
@@ -32,12 +32,6 @@ _MARK_RADIUS = 4.0
 _SAME_PLACE = 2.5
 """Points between the middles of marks that look like one, and share a label."""
 
-_GAPS = (2.0, 8.0, 16.0, 26.0, 38.0, 52.0, 68.0, 86.0, 106.0)
-"""Points between a mark and its label that are tried; from the second on, a line joins them."""
-
-_ANGLES = np.pi / 8 * np.array([4, 12, 0, 8, 2, 6, 14, 10, 1, 7, 3, 5, 13, 11, 15, 9])
-"""Angles from a mark to its label, in the order in which equally good ones are preferred."""
-
 
 def plot_planners(
     table: pd.DataFrame,
@@ -50,7 +44,7 @@ def plot_planners(
 
     Bars are 95 % intervals. A label names each mark, and marks at the same place share one. A line
     joins planners that differ in a parameter, such as "weighted A* (1.1)" and "weighted A* (2)"; of
-    them the first label has the name, and the others have the parameter alone.
+    them the first label has the name, and the others have the parameter alone, except for ``own``.
 
     Planners that have no place are named below the axis: those that solve no problem, and those
     whose expansions are 0 or unknown.
@@ -176,14 +170,17 @@ def _label_marks(
     points_per_pixel = 72 / figure.dpi
     marks = shown[["expansion_ratio", "cost_ratio"]].to_numpy()
     places = axes.transData.transform(marks) * points_per_pixel
-    drawing = _Drawing(
-        page=_Box(*(axes.bbox.extents * points_per_pixel)),
+    drawing = Drawing(
+        page=Box(*(axes.bbox.extents * points_per_pixel)),
         marks=places,
+        radius=_MARK_RADIUS,
         lines=axes.transData.transform(_points_of_lines(axes, shown, families)) * points_per_pixel,
     )
     texts = {name: textwrap.fill(str(name), 30) for name in shown.index}
     for members in families.values():
-        texts |= {name: _MEMBER.fullmatch(name)[2] for name in members[1:]}  # type: ignore[index]
+        for name in members[1:]:
+            if name not in own and (match := _MEMBER.fullmatch(name)):
+                texts[name] = match[2]
     names = list(shown.index)
     groups = _groups(places, [name in own for name in names])
     words = ["\n".join(texts[names[k]] for k in group) for group in groups]
@@ -231,10 +228,9 @@ def _points_of_lines(axes: Axes, shown: pd.DataFrame, families: dict[str, list[s
     for members in families.values():
         line = shown.loc[members, ["expansion_ratio", "cost_ratio"]].to_numpy()
         ends += np.stack([line[:-1], line[1:]], axis=1).tolist()
-    # An interval may reach to 0, which has no place on a logarithmic axis.
-    segments = np.clip(
-        ends, *np.transpose([axes.get_xlim(), axes.get_ylim()])
-    )  # (n, 2, 2): two points (x, y) of each
+    # An interval may reach to 0, which has no place on a logarithmic axis. Each of the (n, 2, 2)
+    # segments has two points (x, y).
+    segments = np.clip(ends, *np.transpose([axes.get_xlim(), axes.get_ylim()]))
     shares = np.linspace(0, 1, 30)[:, None, None]
     first, last = segments[:, 0], segments[:, 1]
     points: Floats = first + shares * (last - first)
@@ -263,134 +259,3 @@ def _groups(places: Floats, is_own: Sequence[bool]) -> list[list[int]]:
     near = [int((np.hypot(*(places - places[group[0]]).T) < 60).sum()) for group in groups]
     order = sorted(range(len(groups)), key=lambda g: (not is_own[groups[g][0]], -near[g]))
     return [groups[g] for g in order]
-
-
-class _Box(NamedTuple):
-    """A rectangle in points."""
-
-    left: float
-    bottom: float
-    right: float
-    top: float
-
-    def nearest(self, points: Floats) -> Floats:
-        """Return the point of the rectangle that is nearest to each of ``points``, (..., 2)."""
-        return np.clip(points, (self.left, self.bottom), (self.right, self.top))
-
-    def touches(self, points: Floats, distance: float) -> Flags:
-        """Return whether each of ``points``, (n, 2), lies within a distance of the rectangle."""
-        is_near: Flags = np.hypot(*(points - self.nearest(points)).T) < distance
-        return is_near
-
-    def overlaps(self, other: _Box) -> bool:
-        """Return whether two rectangles share a point."""
-        return (
-            self.left < other.right
-            and other.left < self.right
-            and self.bottom < other.top
-            and other.bottom < self.top
-        )
-
-
-class _Label(NamedTuple):
-    """Where a label is: its rectangle, and points (n, 2) of the line from it to its mark."""
-
-    box: _Box
-    leader: Floats
-
-
-@dataclass(frozen=True)
-class _Drawing:
-    """What labels must not cover, in points.
-
-    Attributes:
-        page: the axes.
-        marks: (n, 2), middles of the marks.
-        lines: (m, 2), points on the lines between and beside marks, which labels should not cover.
-    """
-
-    page: _Box
-    marks: Floats
-    lines: Floats
-
-    def place_labels(self, places: Sequence[Floats], sizes: Sequence[Floats]) -> list[_Label]:
-        """Return where the labels of marks go.
-
-        Each label takes the best place that the others leave. Since the first ones do not know
-        those after them, this is repeated.
-
-        Args:
-            places: (2,) for each label, the middle of its mark.
-            sizes: (2,) for each label, its width and height.
-        """
-        labels: dict[int, _Label] = {}
-        for _ in range(4):
-            before = dict(labels)
-            for k, (place, size) in enumerate(zip(places, sizes, strict=True)):
-                labels.pop(k, None)
-                labels[k] = self._best_label(place, size, list(labels.values()))
-            if all(k in before and before[k].box == labels[k].box for k in labels):
-                break
-        return [labels[k] for k in range(len(places))]
-
-    def _best_label(self, place: Floats, size: Floats, others: Sequence[_Label]) -> _Label:
-        """Return the best place of one label, near its mark and clear of what is there."""
-        best: tuple[float, _Label] | None = None
-        for gap in _GAPS:
-            if best is not None and best[0] <= gap:
-                break
-            for preference, angle in enumerate(_ANGLES):
-                box = _beside(place, size, angle, _MARK_RADIUS + gap)
-                leader = np.empty((0, 2))
-                if gap > _GAPS[0]:
-                    edge = _MARK_RADIUS * np.array([np.cos(angle), np.sin(angle)])
-                    leader = np.linspace(box.nearest(place), place + edge, 20)
-                label = _Label(box, leader)
-                badness = self._badness(label, place, others) + gap + preference / 10
-                if best is None or badness < best[0]:
-                    best = badness, label
-        assert best is not None
-        return best[1]
-
-    def _badness(self, label: _Label, place: Floats, others: Sequence[_Label]) -> float:
-        """Return how much a label covers, as the distance in points that this is worth."""
-        box, leader = label
-        is_inside = (
-            self.page.left < box.left
-            and box.right < self.page.right
-            and self.page.bottom < box.bottom
-            and box.top < self.page.top
-        )
-        # Words on words are worse than words on marks and lines.
-        covered = 0 if is_inside else 5
-        covered += int(box.touches(self.marks, _MARK_RADIUS).sum())
-        for other in others:
-            covered += 3 * box.overlaps(other.box)
-            covered += bool(box.touches(other.leader, 1.0).any())
-            covered += bool(other.box.touches(leader, 1.0).any())
-            between = leader[:, None] - other.leader
-            covered += bool((np.hypot(between[..., 0], between[..., 1]) < 2.0).any())
-        is_other = np.hypot(*(self.marks - place).T) >= 2 * _MARK_RADIUS
-        to_marks = leader[:, None] - self.marks[is_other]
-        covered += bool((np.hypot(to_marks[..., 0], to_marks[..., 1]) < _MARK_RADIUS).any())
-        to_lines = float(box.touches(self.lines, 1.0).sum())
-        # A label without a line looks like that of the nearest mark.
-        gap = np.hypot(*(box.nearest(place) - place))
-        nearer = 0 if len(leader) else int(box.touches(self.marks, gap - 0.1).sum())
-        return 1000.0 * covered + 4.0 * to_lines + 30.0 * nearer
-
-
-def _beside(place: Floats, size: Floats, angle: float, distance: float) -> _Box:
-    """Return a label whose nearest point lies in a direction from a place.
-
-    Args:
-        place: (2,), in points.
-        size: (2,), width and height of the label.
-        angle: of the direction, from the right anticlockwise.
-        distance: between the place and the label.
-    """
-    direction = np.array([np.cos(angle), np.sin(angle)])
-    # Above the place the middle of its lower edge is nearest, and in the diagonal its corner.
-    nearest = (1 - np.clip(1.5 * direction, -1, 1)) / 2
-    corner = place + distance * direction - size * nearest
-    return _Box(*corner, *(corner + size))
