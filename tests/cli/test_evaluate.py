@@ -247,6 +247,13 @@ def test_the_table_is_short_unless_all_of_it_is_asked_for(
     assert "--full" not in out
 
 
+def test_the_short_table_names_classical_planners() -> None:
+    """A name that no planner has would leave a row out silently."""
+    names = [*classical(Movement(8)), *classical(Movement(8), terrain=True)]
+    unknown = set(SHORT_TABLE) - {planner.name for planner in names}
+    assert unknown <= {"guided search, no network"}
+
+
 def test_every_planner_of_ones_own_is_a_row(
     module: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -261,7 +268,7 @@ def test_every_planner_of_ones_own_is_a_row(
     (refused,) = [row["refused"] for row in rows if row["planner"] == "cuts corners"][:1]
     assert "\nmine: all 9 problems solved\n" in out
     assert re.search(
-        rf"^cuts corners: {refused} of 9 paths refused, the first of problem \d: move \d+, from .* to .*, "
+        rf"^cuts corners: {refused} of 9 paths refused, the first of problem \d: move \d+, from .*, "
         r"cuts a corner \(a Movement with corner_cutting=True allows it\)$",
         out,
         re.MULTILINE,
