@@ -3,7 +3,7 @@
 All trainings have the same network, the same number of problems and steps, maps of the preset
 ``paper`` and 8 moves. They differ in the problems and in the target. Each network then guides the
 same search on problems of two families that it has not seen. docs/training_results.json gets the
-scores, from which docs/which_problems.md has its table.
+scores, from which docs/which_problems.md has its tables.
 
 The search is A* with another order. The key of a cell in the queue is g + h: the cost of the path
 to it, plus the heuristic. A penalty is added where the network does not expect a shortest path:
@@ -316,20 +316,28 @@ def measure(networks: dict[str, list[Network]]) -> dict[str, Any]:
     return {"penalties": penalties, "sets": sets}
 
 
-def table_of(results: dict[str, Any]) -> str:
-    """Return the table of the page."""
+def table_of(results: dict[str, Any], figure: str) -> str:
+    """Return a table of the page, with a line for each row of the file.
+
+    Args:
+        results: as in docs/training_results.json.
+        figure: "optimal" or "expansions".
+    """
     names = list(results["sets"])
-    lines = [f"| trained on | {' | '.join(names)} |"]
-    lines.append("|---" * (1 + len(names)) + "|")
+    lines = [f"| trained on | {' | '.join(names)} |", "|---" + "|--:" * len(names) + "|"]
     for training in next(iter(results["sets"].values()))["rows"]:
-        cells = []
-        for name in names:
-            row = results["sets"][name]["rows"][training]
-            optimal, low, high = (f"{100 * value:.0f}" for value in row["optimal"])
-            ratio, ratio_low, ratio_high = (f"{value:.2f}" for value in row["expansions"])
-            cells.append(f"{optimal}% ({low}-{high}) / {ratio} ({ratio_low}-{ratio_high})")
+        cells = [text_of(results["sets"][name]["rows"][training][figure], figure) for name in names]
         lines.append(f"| {training} | {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def text_of(values: list[float], figure: str) -> str:
+    """Return a value and the ends of its interval as the page prints them."""
+    if figure == "optimal":
+        value, low, high = (f"{100 * value:.0f}" for value in values)
+        return f"{value}% ({low}-{high})"
+    value, low, high = (f"{value:.2f}" for value in values)
+    return f"{value} ({low}-{high})"
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -362,7 +370,8 @@ def main(arguments: list[str] | None = None) -> None:
     results = measure(networks)
     text = json.dumps(results, indent=1) + "\n"
     (DOCS / "training_results.json").write_text(text, encoding="utf-8")
-    print(table_of(results))
+    for figure in ("optimal", "expansions"):
+        print(f"{figure}\n\n{table_of(results, figure)}\n")
 
 
 if __name__ == "__main__":
