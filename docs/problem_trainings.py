@@ -332,12 +332,12 @@ def table_of(results: dict[str, Any], figure: str) -> str:
 
 
 def text_of(values: list[float], figure: str) -> str:
-    """Return a value and the ends of its interval as the page prints them."""
+    """Return a value and half the width of its interval as the page prints them."""
+    value, low, high = values
+    half_width = (high - low) / 2
     if figure == "optimal":
-        value, low, high = (f"{100 * value:.0f}" for value in values)
-        return f"{value}% ({low}-{high})"
-    value, low, high = (f"{value:.2f}" for value in values)
-    return f"{value} ({low}-{high})"
+        return f"{value:.0%} ±{100 * half_width:.0f}"
+    return f"{value:.2f} ±{half_width:.2f}"
 
 
 def main(arguments: list[str] | None = None) -> None:
