@@ -77,7 +77,7 @@ def test_the_trainings_run(
         "VALIDATION_PROBLEMS": 4,
         "TEST_PROBLEMS": 4,
         "PENALTIES": (1.0, 4.0),
-        "TEST_SETS": {"`cave`, random": ("cave", "random")},
+        "TEST_SETS": {"`cave`, hard": ("cave", script.HARD)},
         "DOCS": tmp_path,
     }
     for name, value in small.items():
