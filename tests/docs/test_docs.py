@@ -83,6 +83,8 @@ quiet = pytest.mark.filterwarnings(
     "ignore:Starting from v1.9.0, `tensorboardX` has been removed",
     "ignore:Checkpoint directory .* exists and is not empty",
     "ignore:.*TF32",
+    "ignore:`torch.jit.script_method` is deprecated",  # which torch.compile itself uses
+    "ignore:Precision bf16-mixed is not supported by the model summary",
 )
 
 

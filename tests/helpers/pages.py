@@ -40,7 +40,8 @@ def run(page: Path) -> list[str]:
 
     Python runs in one session; lines of shell are run, JSON is parsed. A block of text after one of
     Python is what that prints. A block of Python that begins with the name of a file, as in
-    ``# pillars.py``, is that file. Families that the page registers are unknown again afterwards.
+    ``# pillars.py``, is that file, which other blocks can import. Families that the page registers
+    are unknown again afterwards.
 
     Returns:
         What each line of shell printed.
@@ -51,6 +52,7 @@ def run(page: Path) -> list[str]:
     families = set(GENERATORS)
     path = sys.path.copy()
     try:
+        sys.path.insert(0, str(Path.cwd()))
         return _run(page)
     finally:
         sys.path[:] = path
