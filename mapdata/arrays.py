@@ -31,6 +31,22 @@ def offsets_of(counts: ArrayLike) -> Ints:
     return np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
 
 
+def places_of_mask(mask: Flags, count: int) -> Ints:
+    """Return the places (M,) that a mask of ``count`` bools selects, as NumPy selects rows.
+
+    Raises:
+        IndexError: a mask of another shape.
+
+    >>> places_of_mask(np.array([True, False, True]), 3)
+    array([0, 2])
+    """
+    if mask.shape != (count,):
+        raise IndexError(
+            f"indices: got a mask of shape {mask.shape}, expected ({count},), a bool a problem"
+        )
+    return np.flatnonzero(mask)
+
+
 def summary(self: Any) -> str:
     """Return the ``repr`` of a dataclass or NamedTuple, with dtype and shape for its arrays.
 

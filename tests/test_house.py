@@ -130,11 +130,12 @@ def test_ground_files_import_only_one_another() -> None:
 
 def test_nothing_in_mapdata_imports_the_models() -> None:
     """The models use mapdata; nothing in it needs them, not even inside a function."""
-    for name in python_files("mapdata"):
-        if not name.startswith("mapdata/models/"):  # a folder in released sources, a link in git
-            for one in imports_of(ROOT / name):
-                assert f"{one.module}.{one.name}.".find("mapdata.models.") == -1, name
-                assert one.module.split(".")[0] != "models", name
+    # The models are a folder of mapdata in released sources, and a link in git.
+    names = [name for name in python_files("mapdata") if not name.startswith("mapdata/models/")]
+    for name in names:
+        for one in imports_of(ROOT / name):
+            assert f"{one.module}.{one.name}.".find("mapdata.models.") == -1, name
+            assert one.module.split(".")[0] != "models", name
 
 
 def test_models_import_one_another_by_relative_names() -> None:
@@ -205,6 +206,71 @@ def test_no_test_imports_another() -> None:
             part for one in imports_of(ROOT / file) for part in (*one.module.split("."), one.name)
         }
         assert not [part for part in found if part.startswith("test_")], file
+
+
+def is_check(statement: ast.AST) -> bool:
+    """Return whether a statement can fail a test: assert, raises, warns, or an assert function."""
+    if isinstance(statement, ast.With):
+        managers = [ast.unparse(item.context_expr) for item in statement.items]
+        return any(name.startswith(("pytest.raises(", "pytest.warns(")) for name in managers)
+    if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Call):
+        name = ast.unparse(statement.value.func).split(".")[-1]
+        return name.startswith(("assert", "check"))
+    return isinstance(statement, ast.Assert)
+
+
+def always_checks(body: list[ast.stmt]) -> bool:
+    """Return whether statements check something whatever the conditions in them are."""
+    for statement in body:
+        if is_check(statement):
+            return True
+        branches: tuple[list[ast.stmt], ...] = ([],)
+        if isinstance(statement, ast.For | ast.While | ast.With | ast.Try):
+            branches = (statement.body,)
+        elif isinstance(statement, ast.If):
+            branches = (statement.body, statement.orelse)
+        if all(map(always_checks, branches)):
+            return True
+    return False
+
+
+def conditional_tests(source: str) -> list[str]:
+    """Return the names of the tests that check something, but only below an ``if``."""
+    tests = [
+        node
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")
+    ]
+    return [
+        test.name
+        for test in tests
+        if any(map(is_check, ast.walk(test))) and not always_checks(test.body)
+    ]
+
+
+def test_no_test_checks_only_below_an_if() -> None:
+    """Where the condition does not hold, such a test passes and has seen nothing."""
+    for file in python_files("tests"):
+        assert not conditional_tests((ROOT / file).read_text(encoding="utf-8")), file
+
+
+@pytest.mark.parametrize(
+    ("body", "is_conditional"),
+    [
+        ("if a:\n        assert b", True),
+        ("for a in b:\n        if a:\n            check_all(a)", True),
+        ("if a:\n        with pytest.raises(ValueError):\n            b()", True),
+        ("if a:\n        assert b\n    else:\n        c()", True),
+        ("if a:\n        assert b\n    else:\n        assert not b", False),
+        ("if a:\n        b()\n    assert c", False),
+        ("with pytest.raises(ValueError):\n        if a:\n            b()", False),
+        ("run(a)", False),
+    ],
+)
+def test_tests_that_check_only_below_an_if_are_found(body: str, is_conditional: bool) -> None:
+    """By the statements of each."""
+    found = conditional_tests(f"def test_it():\n    {body}\n")
+    assert found == ["test_it"] * is_conditional
 
 
 @pytest.mark.parametrize("folder", FOLDERS)

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import Dataset, default_collate, get_worker_info
 
-from mapdata.arrays import Bytes, Ints, offsets_of
+from mapdata.arrays import Bytes, Ints, offsets_of, places_of_mask
 from mapdata.checks import check_choice, check_flag
 from mapdata.datasets.arguments import (
     DEFAULT_FIELDS,
@@ -178,8 +178,9 @@ def keep_freed_memory() -> None:
 class ProblemDataset(Dataset[Sample], ABC):
     """Indexing, fields, epochs and symmetries: the part that all datasets share.
 
-    ``dataset[i]`` is a `Sample`; ``dataset[2:9]`` and ``dataset[[4, 1]]`` are batches; a DataLoader
-    gets whole batches that are computed at once. With a ``transform``, ``dataset[i]`` is what it
+    ``dataset[i]`` is a `Sample`. ``dataset[2:9]``, ``dataset[[4, 1]]`` and ``dataset[mask]``, with
+    a bool for each problem, are batches. A DataLoader gets whole batches that are computed at once.
+    With a ``transform``, ``dataset[i]`` is what it
     returns, and batches are stacked from such samples as a DataLoader does.
 
     A batch sampler may yield lists of ``index + epoch * len(dataset)``: what is drawn anew each
@@ -283,6 +284,7 @@ class ProblemDataset(Dataset[Sample], ABC):
     def __getitem__(self, index: Any) -> Sample:
         if isinstance(index, slice):
             index = np.arange(*index.indices(len(self)))
+        index = self._without_mask(index)
         if np.ndim(index):
             samples = self._serve(index)
             return samples.batch if isinstance(samples, Rows) else default_collate(samples)
@@ -350,7 +352,7 @@ class ProblemDataset(Dataset[Sample], ABC):
         ``dataset.plot(0).figure.savefig("map.png")`` writes a picture.
 
         Args:
-            index: which problem, or up to 9 of several for a grid of them.
+            index: which problem, or up to 9 of several for a grid of them; a mask selects problems.
             axes: where to draw one problem; a new figure without.
 
         Returns:
@@ -363,7 +365,8 @@ class ProblemDataset(Dataset[Sample], ABC):
         # The face of the folder imports a lot that loading does not need.
         from mapdata.plotting.plot_models import MAX_SAMPLES, plot_sample
 
-        indices = [self._checked_index(i) for i in np.atleast_1d(index)[:MAX_SAMPLES]]
+        numbers = np.atleast_1d(self._without_mask(index))
+        indices = [self._checked_index(i) for i in numbers[:MAX_SAMPLES]]
         terrain_field = ("terrain",) if self.has_terrain else ()
         fields = tuple(dict.fromkeys((*DEFAULT_FIELDS, *self.serving.fields, *terrain_field)))
         batch = self._batch(np.array(indices, np.int64), epoch=0)
@@ -410,12 +413,26 @@ class ProblemDataset(Dataset[Sample], ABC):
         """
         return None
 
+    def _without_mask(self, index: Any) -> Any:
+        """Return the numbers of the problems that a mask selects; any other index as it is.
+
+        Raises:
+            IndexError: a mask of another length than the dataset.
+        """
+        if np.ndim(index) == 0:
+            return index
+        array = np.asarray(index)
+        return places_of_mask(array, len(self)) if array.dtype == np.bool_ else index
+
     def _checked_index(self, index: Any) -> int:
         """Return an index as an int.
 
         Raises:
             IndexError: it is out of range.
+            TypeError: it is no integer.
         """
+        if isinstance(index, (bool, np.bool_)):
+            raise TypeError(f"index: got {index}, expected an integer, or a mask of all problems")
         i = operator.index(index)
         if not -len(self) <= i < len(self):
             raise IndexError(f"index {i} is out of range for {len(self)} problems")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mapdata.arrays import Array, Bytes, Flags, Floats, Ints, brief_text, offsets_of
+from mapdata.arrays import Array, Bytes, Flags, Floats, Ints, brief_text, offsets_of, places_of_mask
 from mapdata.checks import check_choice, check_count, check_seed
 from mapdata.generators.generator import identity
 from mapdata.generators.maps import Maps
@@ -285,9 +285,11 @@ class ProblemSet:
         if isinstance(indices, slice):
             return places[indices]
         array = np.asarray(indices)
-        if array.ndim == 1 and array.size == 0 and array.dtype != np.bool_:
+        if array.ndim and array.dtype == np.bool_:
+            return places_of_mask(array, len(self))
+        if array.ndim == 1 and array.size == 0:
             return places[:0]
-        if array.ndim != 1 or array.dtype.kind not in "biu":
+        if array.ndim != 1 or array.dtype.kind not in "iu":
             hint = f"; [[{indices}]] is the set of this problem" if array.ndim == 0 else ""
             raise TypeError(
                 f"indices: got {indices!r}, expected a slice, a list or array of integers, or a "

@@ -749,15 +749,18 @@ def test_more_maps_than_the_recipe_are_not_compared(
 def test_a_recipe_of_an_unfinished_dataset_is_true(
     run: Command, copied: Path, tmp_path: Path
 ) -> None:
-    """A recipe is not printed, or is printed without a hash, before the dataset is finished."""
+    """It is printed without a hash, and builds the whole dataset."""
     manifest = read_manifest(copied)
     (copied / MANIFEST).write_text(
         replace(manifest, shards=manifest.shards[:1]).to_json(), encoding="utf-8"
     )
     outcome = run("info", copied, "--recipe")
-    if outcome.code == 0:
-        recipe = recipe_file(tmp_path, **json.loads(outcome.out))
-        assert run("build", tmp_path / "again", "--recipe", recipe).code == 0
+    assert outcome.code == 0
+    values = json.loads(outcome.out)
+    assert "content_hash" not in values
+    recipe = recipe_file(tmp_path, **values)
+    assert run("build", tmp_path / "again", "--recipe", recipe).code == 0
+    assert read_manifest(tmp_path / "again").content_hash == manifest.content_hash
 
 
 # --- bad input ----------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import random
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -287,9 +287,45 @@ def test_indices_are_those_of_a_sequence(root: str, online: bool) -> None:
     samples.assert_same(dataset[9:1:-3], dataset[[9, 6, 3]])
     with pytest.raises(IndexError):
         dataset[[0, -n - 1]]
-    for bad in ("3", 2.0, None, [1.5], np.zeros(n, np.bool_)):
+    for bad in ("3", 2.0, None, [1.5], True, np.True_):
         with pytest.raises(TypeError):
             dataset[bad]
+
+
+@pytest.mark.parametrize("as_mask", [np.array, list, torch.tensor])
+def test_a_mask_selects_problems_as_in_a_problem_set(
+    root: str, as_mask: Callable[..., Any]
+) -> None:
+    """The places where it is true, as numpy names them; perhaps none."""
+    dataset = MapDataset(root)
+    mask = np.arange(len(dataset)) % 7 == 2
+    samples.assert_same(dataset[as_mask(mask)], dataset[np.flatnonzero(mask)])
+    assert len(dataset[as_mask(np.zeros(len(dataset), bool))].map) == 0
+
+
+TWELVE: dict[str, Callable[[], Any]] = {
+    "problem set": lambda: ProblemSet.sample("maze15", 0, 12, movement=Movement(4)),
+    "its dataset": lambda: ProblemSetDataset(TWELVE["problem set"]()),
+    "online": lambda: OnlineMapDataset("maze15", length=12),
+}
+"""What holds twelve problems."""
+
+
+@pytest.mark.parametrize("mask", [np.ones(11, bool), [True] * 13, np.ones((12, 1), bool), [False]])
+@pytest.mark.parametrize("kind", TWELVE)
+def test_a_mask_of_another_shape_is_refused(kind: str, mask: Any) -> None:
+    """By datasets and problem sets in the same words."""
+    with pytest.raises(IndexError, match=r"^indices: got a mask of shape .*, expected \(12,\)"):
+        TWELVE[kind]()[mask]
+
+
+def test_a_mask_selects_what_is_plotted(root: str) -> None:
+    """As a list of the same problems; another length is refused."""
+    dataset = MapDataset(root)
+    mask = np.arange(len(dataset)) == 3
+    assert len(dataset.plot(mask).figure.axes) == len(dataset.plot([3]).figure.axes)
+    with pytest.raises(IndexError, match="got a mask of shape"):
+        dataset.plot(mask[1:])
 
 
 @pytest.mark.parametrize("online", [False, True])
@@ -917,17 +953,19 @@ def test_online_problems_change_with_the_epoch() -> None:
     """Over the epochs every segment of a map gets its turn."""
     labels = labels_of("square")
     online = OnlineMapDataset(samples.SPEC, SEED, MAPS, fields=("start", "goal"))
-    for i in range(0, MAPS, 7):
-        valid = [one for one in problems_of(labels, "route", None) if one.map == i]
-        seed_points = labels.maps.seed_points[i].tolist()
+    segments: dict[int, set[Any]] = {}  # start and goal of each, by the number of the map
+    for one in problems_of(labels, "route", None):
+        seed_points = labels.maps.seed_points[one.map].tolist()
+        ends = (tuple(seed_points[one.first]), tuple(seed_points[one.second]))
+        segments.setdefault(one.map, set()).add(ends)
+    maps = sorted(segments)[::7]
+    assert max(len(segments[i]) for i in maps) > 2
+    for i in maps:
         seen = set()
         for epoch in range(60):
             batch = online.__getitems__([i + epoch * MAPS]).batch
             seen.add((samples.cell_of(batch.start[0]), samples.cell_of(batch.goal[0])))
-        if valid:
-            assert seen == {
-                (tuple(seed_points[one.first]), tuple(seed_points[one.second])) for one in valid
-            }
+        assert seen == segments[i]
 
 
 def test_online_without_a_single_problem(monkeypatch: pytest.MonkeyPatch) -> None:

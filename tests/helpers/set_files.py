@@ -42,5 +42,5 @@ def write_first_format(path: Path, problems: ProblemSet) -> None:
         about=np.array(json.dumps(about)),
         starts=problems.starts,
         goals=problems.goals,
-        **maps,
+        **maps,  # type: ignore[arg-type]
     )

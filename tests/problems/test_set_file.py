@@ -171,7 +171,7 @@ def test_a_newer_format_is_refused_by_name(tmp_path: Path) -> None:
     path = saved(walled(4, 2), tmp_path)
     arrays = read_arrays(path)
     arrays["about_format_3"] = arrays.pop("about_format_2")
-    np.savez(path, **arrays)
+    np.savez(path, **arrays)  # type: ignore[arg-type]
     says = r"set\.npz: holds no saved problems \(has format 3, expected 1 to 2: install a newer"
     with pytest.raises(ValueError, match=says):
         ProblemSet.load(path)
@@ -476,7 +476,10 @@ def test_a_subset_of_a_subset_keeps_the_numbers_of_the_whole() -> None:
         ("ab", TypeError, "expected a slice"),
         ([12], IndexError, "index 12 is out of bounds"),
         ([-13], IndexError, "out of bounds"),
-        (np.ones(11, bool), IndexError, "boolean index did not match"),
+        (np.ones(11, bool), IndexError, r"got a mask of shape \(11,\), expected \(12,\)"),
+        ([True] * 13, IndexError, r"got a mask of shape \(13,\), expected \(12,\)"),
+        (np.ones((12, 1), bool), IndexError, r"got a mask of shape \(12, 1\), expected \(12,\)"),
+        (True, TypeError, "got True, expected a slice"),
     ],
 )
 def test_what_selects_no_problems_is_refused(

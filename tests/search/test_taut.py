@@ -423,11 +423,11 @@ def test_a_path_and_its_reverse_have_the_same_line(radius: float) -> None:
             rows, columns = (2, 9) if source.random() < 0.5 else (9, 2)
             grid[row : row + rows, column : column + columns] = 1
         inflated = inflate(grid, radius)
-        for _ in range(3):
-            path = astar(inflated, *free_cells(inflated, source), Movement(8)).path
-            if len(path):
-                line = pull_taut(grid, path, radius)
-                np.testing.assert_array_equal(pull_taut(grid, path[::-1], radius), line[::-1])
+        ends = [free_cells(inflated, source) for _ in range(3)]
+        paths = [astar(inflated, *cells, Movement(8)).path for cells in ends]
+        for path in filter(len, paths):
+            line = pull_taut(grid, path, radius)
+            np.testing.assert_array_equal(pull_taut(grid, path[::-1], radius), line[::-1])
 
 
 def test_a_line_that_follows_the_cells_is_pulled_from_both_ends() -> None:
