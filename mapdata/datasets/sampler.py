@@ -207,7 +207,8 @@ class EpochSampler(DistributedSampler[Any]):
         if not isinstance(state, Mapping) or not set(names) <= set(state):
             raise ValueError(
                 f"state: got {state!r}, expected what state_dict() of a loader of MapDataModule "
-                f"returned: a mapping with {', '.join(names)}"
+                f"returned: a mapping with {', '.join(names)}; from a checkpoint without it, load "
+                "only the weights of the model"
             )
         epoch = check_count("epoch", state["epoch"], minimum=0)
         batches_done = check_count("batches_done", state["batches_done"], minimum=0)

@@ -721,6 +721,29 @@ def test_a_map_with_high_costs_does_not_stop_a_build(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("_serpentines")
+def test_a_build_goes_on_after_a_shard_of_high_costs_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """None of its maps is stored as drawn, so an earlier shard tells whether the family changed."""
+    root = tmp_path / "maps"
+    recipe = replace(LONG, corridors=(4, 5))
+    with pytest.warns(UserWarning, match=r"^map [45]: terrain: a path costs"):
+        build(root, recipe, maps=6, seed=SEED, shard_size=2, workers=1)
+
+    def draw(family: Serpentines, seed: int, indices: Ints) -> Maps:
+        maps = unchanged(family, seed, indices)
+        assert maps.terrain is not None
+        return replace(maps, terrain=maps.terrain + maps.terrain % 254)
+
+    unchanged = Serpentines.draw
+    monkeypatch.setattr(Serpentines, "draw", draw)
+    with pytest.raises(ValueError, match="serpentines draws another map 2 than the stored one"):
+        build(root, recipe, maps=7, seed=SEED, shard_size=2, workers=1)
+    monkeypatch.undo()
+    assert build(root, recipe, maps=7, seed=SEED, shard_size=2, workers=1).maps == 7
+
+
+@pytest.mark.usefixtures("_serpentines")
 def test_a_generator_of_high_costs_is_refused_before_the_build(tmp_path: Path) -> None:
     """Nothing is written."""
     often = replace(LONG, corridors=tuple(range(1, 8, 2)))
