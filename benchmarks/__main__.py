@@ -4,6 +4,12 @@
 
 from __future__ import annotations
 
+import os
+
+if __name__ == "__main__":  # before numpy and torch are imported, which read these
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
+
 import argparse
 from collections.abc import Sequence
 from importlib import import_module
@@ -39,6 +45,9 @@ The command `python -m benchmarks{arguments}` writes this page. The first rows o
 - In each table, mapdata and the other packages run in turns on one machine. The ratios are more
   reliable than the times.
 - Times and ratios are medians. All work runs on one thread, unless a row names workers.
+- Times are CPU times of the process, which other programs on the machine do not lengthen. Those of
+  builds on disk, of first uses and of workers are wall-clock times. Warthog prints its own.
+- Where a package has several functions for a table's work, the fastest one counts.
 - If another package returns other results than mapdata, the benchmark stops with an error.
 - A target is a minimum ratio or rate, or a maximum time, size or growth. Missed targets are
   marked.

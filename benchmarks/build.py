@@ -14,6 +14,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 from benchmarks.measure import Row, each, interleaved, median_ratio, seconds, to_text
@@ -62,7 +63,7 @@ def build_rows(
     contestants = {"one": lambda: run(1), "two": lambda: run(2)}
     if beside_kernels:
         contestants |= {"kernels": lambda: kernels(maps), "write": write}
-    times = interleaved(contestants, rounds, after=clean)
+    times = interleaved(contestants, rounds, after=clean, clock=time.perf_counter)
     if hashes != {manifest.content_hash}:
         raise SystemExit(f"one and two workers gave different maps: content hashes {hashes}")
     one, two = times["one"], times["two"]
@@ -193,7 +194,7 @@ def _wall(command: list[str], environment: dict[str, str]) -> tuple[float, str]:
             ).stdout
         )
 
-    return seconds(run), output[0]
+    return seconds(run, clock=time.perf_counter), output[0]
 
 
 def table(quick: bool, parent: str | None = None) -> str:

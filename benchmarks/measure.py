@@ -104,31 +104,41 @@ def interleaved(
     contestants: Mapping[str, Callable[[], object]],
     rounds: int,
     after: Callable[[], object] = lambda: None,
+    clock: Callable[[], float] = time.process_time,
 ) -> dict[str, list[float]]:
     """Return the seconds that a call of each contestant took, one value a round.
 
     Each is called twice to warm up. Then the contestants take turns, so that what else the machine
-    does meets all of them. ``after`` is called after each timing, to clean up.
+    does meets all of them. ``after`` is called after each timing, to clean up. ``clock`` is that of
+    `seconds`.
     """
     calls = {}
     for name, function in contestants.items():
         function()  # compiles
         after()
-        calls[name] = max(1, round(AT_LEAST / seconds(function)))
+        calls[name] = max(1, round(AT_LEAST / max(seconds(function, clock=clock), 1e-9)))
         after()
     times: dict[str, list[float]] = {name: [] for name in contestants}
     for name in [*contestants] * rounds:
-        times[name].append(seconds(contestants[name], calls[name]))
+        times[name].append(seconds(contestants[name], calls[name], clock))
         after()
     return times
 
 
-def seconds(function: Callable[[], object], calls: int = 1) -> float:
-    """Return the seconds that one of ``calls`` calls took."""
-    began = time.perf_counter()
+def seconds(
+    function: Callable[[], object],
+    calls: int = 1,
+    clock: Callable[[], float] = time.process_time,
+) -> float:
+    """Return the seconds that one of ``calls`` calls took.
+
+    They are CPU seconds of all threads of this process, which other programs on the machine do not
+    lengthen. What waits for disks or other processes needs `time.perf_counter` as its ``clock``.
+    """
+    began = clock()
     for _ in range(calls):
         function()
-    return (time.perf_counter() - began) / calls
+    return (clock() - began) / calls
 
 
 def median_ratio(slow: list[float], fast: list[float]) -> float:

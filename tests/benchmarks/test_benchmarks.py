@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+import time
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -300,6 +301,59 @@ def test_other_costs_on_terrain_stop_the_run(part: str, monkeypatch: pytest.Monk
     monkeypatch.setattr(terrain, "skimage_path_cost", lambda *_: float(field[3, 9]) + wrong["path"])
     with pytest.raises(SystemExit, match=f"mapdata and scikit-image differ in a {part}"):
         terrain.check_costs(ones, [(3, 9)], [(0, 0)])
+
+
+SEARCHES = [
+    (peer, connectivity, number)
+    for peer, library in graphs.LIBRARIES.items()
+    for connectivity in (4, 8)
+    for number in range(len(library.searches(connectivity)))
+]
+"""The searches of graph libraries that labels stand beside."""
+
+
+@pytest.mark.parametrize(
+    ("peer", "connectivity", "number"), SEARCHES, ids=lambda value: getattr(value, "name", None)
+)
+def test_searches_of_libraries_find_our_costs(peer: Peer, connectivity: int, number: int) -> None:
+    """Two rooms of map 47 have one seed point, and there is no path to the last column of a map."""
+    if peer.absence:
+        pytest.skip(f"{peer.name}: {peer.absence}")
+    library = graphs.LIBRARIES[peer]
+    search = library.searches(connectivity)[number]
+    maps = generate(replace(MapSpec.preset("paper"), movement=Movement(connectivity)), 0, [47])
+    cells = maps.seed_points[0, : maps.rooms[0]]
+    assert len(np.unique(cells, axis=0)) < len(cells)
+    for grid, seeds, expected in (
+        (maps.occupancy[0], cells @ [64, 1], label(maps).matrix("astar", 0)),
+        (WALLED, np.array([0, 8, 3]), np.array([[0, 4, -1], [4, 0, -1], [-1, -1, 0]])),
+    ):
+        graph = library.build(peer.load(), grid, connectivity)
+        found = search(peer.load(), graph, seeds, connectivity)
+        np.testing.assert_allclose(np.where(np.isfinite(found), found, -1), expected, atol=1e-3)
+
+
+def test_the_faster_search_of_a_library_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both are measured; moves of several costs have one search alone."""
+
+    def measured(contestants: dict[str, object], rounds: int) -> dict[str, list[float]]:
+        seconds = {"ours": 1.0, "graph": 4.0, "search 0": 3.0, "search 1": 2.0}
+        return {name: [seconds[name]] * rounds for name in contestants}
+
+    monkeypatch.setattr(graphs, "interleaved", measured)
+    for connectivity, expected in ((4, 2.0), (8, 3.0)):
+        generator = replace(MapSpec.preset("paper"), movement=Movement(connectivity))
+        maps = generate(generator, 0, [47])
+        seeds = [maps.seed_points[0, : maps.rooms[0]] @ [64, 1]]
+        grids = maps.occupancy
+        times = graphs.library_times(graphs.SCIPY, maps, grids, seeds, connectivity, 1)
+        assert times == {"ours": [1.0], "graph": [4.0], "search": [expected]}
+
+
+def test_time_is_that_of_the_processor() -> None:
+    """What waits takes no time, unless its clock is on the wall."""
+    assert measure.seconds(lambda: time.sleep(0.02)) < 0.02
+    assert measure.seconds(lambda: time.sleep(0.02), clock=time.perf_counter) >= 0.02
 
 
 def test_warthog_gets_the_same_problems(tmp_path: Path) -> None:
