@@ -325,7 +325,7 @@ def test_searches_of_libraries_find_our_costs(peer: Peer, connectivity: int, num
     cells = maps.seed_points[0, : maps.rooms[0]]
     assert len(np.unique(cells, axis=0)) < len(cells)
     for grid, seeds, expected in (
-        (maps.occupancy[0], cells @ [64, 1], label(maps).matrix("astar", 0)),
+        (maps.occupancy[0], np.asarray(cells @ [64, 1], np.int64), label(maps).matrix("astar", 0)),
         (WALLED, np.array([0, 8, 3]), np.array([[0, 4, -1], [4, 0, -1], [-1, -1, 0]])),
     ):
         graph = library.build(peer.load(), grid, connectivity)
@@ -344,7 +344,7 @@ def test_the_faster_search_of_a_library_counts(monkeypatch: pytest.MonkeyPatch) 
     for connectivity, expected in ((4, 2.0), (8, 3.0)):
         generator = replace(MapSpec.preset("paper"), movement=Movement(connectivity))
         maps = generate(generator, 0, [47])
-        seeds = [maps.seed_points[0, : maps.rooms[0]] @ [64, 1]]
+        seeds = [np.asarray(maps.seed_points[0, : maps.rooms[0]] @ [64, 1], np.int64)]
         grids = maps.occupancy
         times = graphs.library_times(graphs.SCIPY, maps, grids, seeds, connectivity, 1)
         assert times == {"ours": [1.0], "graph": [4.0], "search": [expected]}
