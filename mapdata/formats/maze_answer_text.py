@@ -359,8 +359,8 @@ def _answers_of_lines(
 def _separator(answer: _Answer, line: _Line, is_after_blank: bool) -> str:
     """Return what separates a line from the answer that it continues, "" if it doesn't.
 
-    It does if each line has one item, or if a comma ends the line before. Items of a list may have
-    blank lines between them.
+    It does if the lines before have one item each, or if a comma ends the last of them. Items of a
+    list may have blank lines between them.
     """
     before = answer.lines[-1]
     if line.is_labelled or line.form != before.form or not line.items:
@@ -373,7 +373,7 @@ def _separator(answer: _Answer, line: _Line, is_after_blank: bool) -> str:
         return ""
     if before.ends_with_comma:
         return ","
-    if len(line.items) > 1 or not answer.separators <= {"\n", "\n\n"}:
+    if not answer.separators <= {"\n", "\n\n"}:
         return ""
     return "\n\n" if is_after_blank else "\n"
 

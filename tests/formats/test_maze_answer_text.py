@@ -64,6 +64,37 @@ def test_the_tables_of_the_page_are_found() -> None:
     assert len(REFUSED) >= 25
 
 
+@pytest.mark.parametrize(
+    ("text", "score"),
+    [
+        # Lines that are one answer.
+        ("- R\n\n- R\n\n- D", 1),
+        ('["right", "right",\n "down"]', 1),
+        ('{"moves": ["right",\n "right",\n "down"]}', 1),
+        ("right, right,\ndown", 1),
+        # Lines that are several.
+        ("R\n\nR\n\nD", 0),
+        ("R\n- R\n- D", 0),
+        ("1. R\n3. R\n4. D", 0),
+        ("1. R\n2. R\n1. D", 0),
+        ("2. R\n3. R\n4. D", 0),
+        ("right right\ndown", 0),
+        ("right right,\ndown", 0),
+        ("R\nR\nAnswer: D", 0),
+        ("```\nR\nR\n```\n```\nD\n```", 0),
+        # What a label decides, and where it ends.
+        ("RR\nAnswer:\nRRD", 1),
+        ("RR\nAnswer:\nI go right.\nRRD", 0),
+        ("Left is not free.\nAnswer: RRD", 1),
+        ("Left is not free.\nRRD", 0),
+        ("Left is not free:\nAnswer: RRD", 0),
+    ],
+)
+def test_which_lines_belong_together(text: str, score: float) -> None:
+    """One of several answers is not chosen by its place."""
+    assert check_answer(MAZE, text).score == score
+
+
 @pytest.mark.parametrize("frame", [*DENIED, *TAKEN_BACK, *DOUBLE, *HEDGED])
 @pytest.mark.parametrize(("first", "second"), [("RRD", "DDRRU"), ("DDR", "RRD"), ("RRD", "DDR")])
 def test_answers_that_are_denied_taken_back_double_or_hedged_score_0(
