@@ -225,10 +225,12 @@ def _moves_of(reading: Reading, maze: Question) -> str:
     if reading.fault:
         raise NoAnswerError(f"no answer: {reading.fault}")
     if reading.form == MAZE_FORM:
-        paths = [_marked_path(cells, maze) for cells in reading.mazes]
-        found = [path for path in paths if path is not None]
-        if len(found) == 1:
-            return letters_of_path(found[0])
+        # At most one place of the marks gives a path: below the first row, the cells that lack a
+        # neighbour are where its marks must begin and end.
+        for cells in reading.mazes:
+            path = _marked_path(cells, maze)
+            if path is not None:
+                return letters_of_path(path)
         if "o" not in reading.mazes[0]:
             raise NoAnswerError("a copy of the question")
         raise NoAnswerError("the marked cells are no path from S to G")
