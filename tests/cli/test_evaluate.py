@@ -268,7 +268,7 @@ def test_every_planner_of_ones_own_is_a_row(
     (refused,) = [row["refused"] for row in rows if row["planner"] == "cuts corners"][:1]
     assert "\nmine: all 9 problems solved\n" in out
     assert re.search(
-        rf"^cuts corners: {refused} of 9 paths refused, the first of problem \d: move \d+, from .*, "
+        rf"^cuts corners: {refused} of 9 paths refused, the first of problem \d: move \d+, .*, "
         r"cuts a corner \(a Movement with corner_cutting=True allows it\)$",
         out,
         re.MULTILINE,
