@@ -48,6 +48,7 @@ from mapdata import (  # noqa: E402
     check_path,
     generate,
     label,
+    search_order,
 )
 from mapdata.describe import dataset_statistics  # noqa: E402
 from mapdata.evaluation import Plan  # noqa: E402
@@ -68,6 +69,7 @@ from mapdata.plotting import (  # noqa: E402
     plot_planners,
     plot_prediction,
     plot_roadmap,
+    plot_search,
     report,
 )
 from mapdata.problems import ProblemSet  # noqa: E402
@@ -662,6 +664,23 @@ def costs() -> Figure:
     return figure
 
 
+def searches() -> Figure:
+    """Draw what three heuristics expand: the last picture of docs/howto/teach.md."""
+    movement = Movement(connectivity=4)
+    detours = Random(hardness=(1.5, None))
+    problems = ProblemSet.sample("dungeon", seed=7, maps=30, movement=movement, problems=detours)
+    grid, start, goal = problems.grids[0], problems.starts[0], problems.goals[0]
+    rows, columns = np.indices(grid.shape)
+    manhattan = abs(rows - goal[0]) + abs(columns - goal[1])
+    figure, axes = new_figure(1, 3, (8.4, 3))
+    heuristics = {"nothing": 0 * manhattan, "manhattan": manhattan, "too_much": 3 * manhattan}
+    for ax, (name, heuristic) in zip(axes, heuristics.items(), strict=True):
+        found = search_order(grid, start, goal, movement, heuristic=heuristic)
+        plot_search(grid, found.order, found.path, ax)
+        ax.set_title(f"{name}: {found.iterations:,} cells")
+    return figure
+
+
 FIGURES: dict[str, Callable[..., Figure]] = {
     "overview": overview,
     "batch": batch,
@@ -685,6 +704,7 @@ FIGURES: dict[str, Callable[..., Figure]] = {
     "roadmaps": roadmaps,
     "images": images,
     "costs": costs,
+    "searches": searches,
 }
 NAMES = [*FIGURES, "report"]
 FOR_PHONES = {
