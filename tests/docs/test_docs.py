@@ -14,6 +14,7 @@ import textwrap
 import zlib
 from collections.abc import Mapping
 from contextlib import redirect_stdout
+from dataclasses import replace
 from importlib import import_module
 from importlib.util import find_spec
 from io import StringIO
@@ -219,6 +220,66 @@ def test_the_paper_page_names_what_exists() -> None:
         assert f"def {test}(" in (ROOT / "tests" / file).read_text(encoding="utf-8"), (
             f"{file}::{test}"
         )
+
+
+@pytest.mark.slow
+def test_the_paper_page_counts_seed_points_and_detours() -> None:
+    """Of the first 10,000 maps of seed 0; a segment without a detour is as long as |dr| + |dc|."""
+    page = (DOCS / "paper.md").read_text(encoding="utf-8")
+    found = re.search(
+        r"Of the same maps, (\d+) have two rooms with one seed point, and (\d+) %", page
+    )
+    assert found is not None
+    labels = mapdata.label(mapdata.generate("paper", 0, range(10_000)))
+    shared = 0
+    has_no_detour = []
+    for k, (points, rooms) in enumerate(
+        zip(labels.maps.seed_points.tolist(), labels.maps.rooms.tolist(), strict=True)
+    ):
+        cells = points[:rooms]
+        shared += len(set(map(tuple, cells))) < rooms
+        costs = labels.matrix("bfs", k).diagonal(1).tolist()
+        for (row, column), (next_row, next_column), cost in zip(
+            cells[:-1], cells[1:], costs, strict=True
+        ):
+            if cost > 0:
+                has_no_detour.append(cost == abs(row - next_row) + abs(column - next_column))
+    share = np.mean(has_no_detour)
+    assert found.groups() == (str(shared), f"{100 * share:.0f}")
+
+
+@pytest.mark.usefixtures("_in_an_empty_folder")
+def test_ariadne_reads_the_pictures_of_the_page() -> None:
+    """Its loader takes the mean of three channels; the 128th pixel of 208 is the start, of cells
+    that are free, and no free cell touches the edge.
+    """
+    page = (DOCS / "howto" / "coming_from.md").read_text(encoding="utf-8")
+    code = page.split("## Exploration and Mars")[1].split("```python\n")[1].split("```")[0]
+    exec(code, {})
+    generator = replace(
+        mapdata.MapSpec.preset("dungeon"),
+        map_size=(46, 62),
+        passage_width=(3, 4),
+        skip_probability=0.0,
+    )
+    paths = sorted(Path("DungeonMaps/train").iterdir())
+    assert len(paths) == 10
+    for path in paths:
+        with Image.open(path) as picture:
+            pixels = np.asarray(picture)
+        assert pixels.shape == (480, 640, 3)
+        grey = pixels.mean(axis=2)
+        rows, columns = np.nonzero(grey == 208)
+        maps = mapdata.generate(generator, 0, [int(path.stem)])
+        cells = maps.occupancy[0, rows // 10 - 1, columns // 10 - 1]
+        assert len(rows) > 127
+        assert not cells.any()
+        assert abs(rows[127] / 10 - maps.seed_points[0, 0, 0] - 1) <= 2
+        assert abs(columns[127] / 10 - maps.seed_points[0, 0, 1] - 1) <= 2
+        is_free = grey > 150
+        assert np.array_equal(is_free[10:-10:10, 10:-10:10], maps.occupancy[0] == 0)
+        assert not is_free[[0, -1]].any()
+        assert not is_free[:, [0, -1]].any()
 
 
 def test_the_paper_page_has_every_column() -> None:
