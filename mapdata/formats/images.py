@@ -286,7 +286,9 @@ def read(
                         collection.maps.append(ForeignMap(name, sized, split))
                         advance(1)
             else:
-                grey = brightness(read_pixels(path, limits, upright=True))
+                pixels = read_pixels(path, limits, upright=True)
+                _check_brightness(path, pixels)
+                grey = brightness(pixels)
                 is_unknown = _unknown_pixels(grey)
                 if is_local:
                     grey = _without_shadows(grey, invert)
@@ -327,6 +329,24 @@ def read(
         share = percent(float(np.mean(unknown_shares)))
         collection.notes.append(f"{share} of the cells were unknown and are now {unknown}")
     return collection
+
+
+def _check_brightness(path: Path, pixels: Pixels) -> None:
+    """Check that a picture of 16 bits does not hold heights or distances, with white for "no data".
+
+    Raises:
+        FormatError: its values but black and white are many different ones, and all nearly black.
+    """
+    values, white = pixels
+    if white != 65535:
+        return
+    numbers = np.unique(values)
+    between = numbers[(numbers > 0) & (numbers < white)]
+    if numbers[-1] == white and len(between) >= 16 and between[-1] < white // 16:
+        raise FormatError(
+            f"{path}: holds {between[0]} to {between[-1]}, and {white} for white: it looks like "
+            "heights or distances; save it as an .npy array of 1 where cells are occupied"
+        )
 
 
 def _check_picture(

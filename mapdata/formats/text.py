@@ -74,6 +74,9 @@ _DIGIT = re.compile("[0-9]")
 _EXCEL = re.compile("sep=.", re.IGNORECASE)
 """A first line that Excel writes and reads."""
 
+_DECIMAL_COMMAS = re.compile(r"-?[0-9]+,[0-9]+([;\t]-?[0-9]+,[0-9]+)+")
+"""A row of numbers such as 0,5;1,0."""
+
 _SIZE = re.compile(r"\s*[0-9]{1,5}([\s,;x]+[0-9]{1,5})?\s*")
 """The size of a map, on one line or two."""
 
@@ -259,6 +262,8 @@ def _surplus(lines: list[str]) -> str:
         return f"row 0 is {first!r}, which tells Excel the separator: remove this line"
     if first.lower().startswith("type "):
         return "looks like a map of MovingAI: its name should end with .map"
+    if _DECIMAL_COMMAS.fullmatch(first):
+        return "has decimal commas, as spreadsheets write them in some countries: expected 0 and 1"
     plain = first.replace('"', "").replace("'", "")
     if {field.strip().lower() for field in _fields(plain)} <= {"true", "false"}:
         return "is a table of True and False: values.astype(int) makes 1 and 0 of them"

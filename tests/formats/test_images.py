@@ -201,6 +201,19 @@ def test_a_local_threshold_is_for_pictures_alone(
     assert "--images.threshold: got 'global', expected a number or local" in err
 
 
+def test_heights_in_a_picture_of_16_bits_are_named(tmp_path: Path) -> None:
+    """Without white for "no data" nothing of them is bright, which is an error, too."""
+    heights = np.arange(400, 600).reshape(10, 20).astype(np.uint16)
+    heights[0] = 65535
+    Image.fromarray(heights).save(tmp_path / "heights.png")
+    ((_, reason),) = read(tmp_path).left_out
+    assert reason.startswith("holds 420 to 599, and 65535 for white: it looks like heights or dist")
+    Image.fromarray(np.arange(0, 65535, 329, dtype=np.uint16)[:200].reshape(10, 20)).save(
+        tmp_path / "heights.png"
+    )
+    assert len(read(tmp_path).maps) == 1
+
+
 def test_resize_and_crop(tmp_path: Path) -> None:
     """Resizing keeps blocks of equal pixels, cropping takes the middle, and pictures that are too
     small to crop are left out.

@@ -266,6 +266,7 @@ def test_what_is_no_map_is_left_out_with_the_reason(text: str, reason: str, tmp_
         ('"True" "False"\n', "is a table of True and False: values.astype(int) makes 1 and 0 of"),
         ('"0","1"\n"1","0"\n', "its numbers stand in quotes: values.astype(int) makes numbers of"),
         ("'0';'1'\n'1';'0'\n", "its numbers stand in quotes: values.astype(int) makes numbers of"),
+        ("0,0;1,0\n0,0;0,5\n", "has decimal commas, as spreadsheets write them in some countries"),
         ("sep=;\n0;1\n", "row 0 is 'sep=;', which tells Excel the separator: remove this line"),
         ("2 3\n0 1 0\n0 0 0\n", "begins with its size, '2 3': remove what is above row 0"),
         ("3 2\n0 1 0\n0 0 0\n", "begins with its size, '3 2': remove what is above row 0"),
