@@ -400,7 +400,7 @@ class ProblemDataset(Dataset[Sample], ABC):
         return "; ".join(parts)
 
     @abstractmethod
-    def problems_text(self) -> str:
+    def _problems_text(self) -> str:
         """Return which problems are served, in words that no other problems have.
 
         They do not depend on where the files of the maps are.
@@ -499,7 +499,7 @@ class SampledProblemDataset(ProblemDataset):
             self.serving.problems, self.map_size, self.movement, has_terrain=self.has_terrain
         )
 
-    def problems_text(self) -> str:
+    def _problems_text(self) -> str:
         """Return what the problems are a function of: conditions, maps, and the seed of draws."""
         hashes = ", ".join(map_hash[:12] for map_hash in self._map_hashes())
         text = f"{self._served()}; maps {hashes}"

@@ -126,7 +126,7 @@ class ProblemSetDataset(ProblemDataset):
         rule = movement_text(self.movement, self.has_terrain)
         return f"{self.problem_set.description}; {rule}"
 
-    def problems_text(self) -> str:
+    def _problems_text(self) -> str:
         """Return the hash of the problems; sets that differ in their description alone are one."""
         return f"problem set {self.problem_set.content_hash[:12]}"
 

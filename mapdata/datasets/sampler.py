@@ -260,7 +260,7 @@ class EpochSampler(DistributedSampler[Any]):
             "batch_size": self.batch_size,
             "problems": len(dataset),  # type: ignore[arg-type]
             "problems_text": (
-                dataset.problems_text() if isinstance(dataset, ProblemDataset) else None
+                dataset._problems_text() if isinstance(dataset, ProblemDataset) else None
             ),
             "ranks": self._rank()[1],
             "sampling_seed": self.sampling_seed,
