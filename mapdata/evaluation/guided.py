@@ -168,7 +168,7 @@ class GuidedSearch(Batched):
         penalties = self.trust * mean_costs * 64 / side  # (B,)
         plans = []
         for k in range(len(grids)):
-            path, expansions = follow_predictions(
+            path, expansions, order = follow_predictions(
                 costs[k],
                 scores[k],
                 costs_to_go[k],
@@ -179,7 +179,7 @@ class GuidedSearch(Batched):
                 self.movement.diagonal_cost,
                 self.movement.corner_cutting,
             )
-            plans.append(Plan(path, expansions, prepared=grids[0].size))
+            plans.append(Plan(path, expansions, prepared=grids[0].size, order=order))
         return plans
 
 

@@ -51,12 +51,15 @@ class Plan(NamedTuple):
         looks: number of different cells that the search visited to see which neighbours are free,
             the expanded ones included; None if it visited no others. Jump point search visits
             the cells that its scans pass.
+        order: (H, W) int32, the number of the expansion of each cell, -1 for cells that were not
+            expanded, for `mapdata.plotting.plot_search`; None if the planner does not say.
     """
 
     path: npt.NDArray[np.integer[Any]]
     expansions: int
     prepared: int = 0
     looks: int | None = None
+    order: npt.NDArray[np.integer[Any]] | None = None
 
     def __repr__(self) -> str:
         return summary(self)

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Float32s, Int8s, Ints
+from mapdata.arrays import Bytes, Float32s, Int8s, Int32s, Ints
 from mapdata.jit import Int, kernel
 
 
@@ -22,8 +22,11 @@ def follow_predictions(
     moves: Ints,
     diagonal_cost: float,
     corner_cutting: bool,
-) -> tuple[Ints, Int]:
-    """Return the path of one problem, (k, 2) cells, and the number of expanded cells.
+) -> tuple[Ints, Int, Int32s]:
+    """Return the path of one problem, (k, 2) cells, and which cells were expanded.
+
+    Those are their number, and an array (H, W) of the number of the expansion of each cell, -1 for
+    the others.
 
     Args:
         terrain: (H, W), the cost of each cell, 0 on occupied cells; 1 on all free cells of a map
@@ -42,7 +45,7 @@ def follow_predictions(
     lengths = np.full((rows, columns), np.inf)
     costs = np.full((rows, columns), np.inf)
     move_to = np.full((rows, columns), -1, np.int8)  # the move that leads to a cell from its parent
-    expanded = np.zeros((rows, columns), np.bool_)
+    order = np.full((rows, columns), -1, np.int32)
     legal = np.zeros(len(moves), np.bool_)
     lengths[start[0], start[1]] = 0.0
     costs[start[0], start[1]] = 0.0
@@ -52,9 +55,9 @@ def follow_predictions(
     expansions = 0
     while frontier:
         _, _, row, column = heapq.heappop(frontier)
-        if expanded[row, column]:
+        if order[row, column] >= 0:
             continue
-        expanded[row, column] = True
+        order[row, column] = expansions
         expansions += 1
         if row == goal[0] and column == goal[1]:
             break
@@ -87,7 +90,7 @@ def follow_predictions(
             if next_length < lengths[next_row, next_column]:
                 lengths[next_row, next_column] = next_length
                 move_to[next_row, next_column] = move
-            if expanded[next_row, next_column]:
+            if order[next_row, next_column] >= 0:
                 continue
 
             log_odds = best_score - scores[move, row, column]
@@ -106,7 +109,7 @@ def follow_predictions(
                 f = next_cost + to_go - 0.001 * lengths[next_row, next_column]
                 pushes += 1
                 heapq.heappush(frontier, (f, float(-pushes), next_row, next_column))
-    return _trace(move_to, moves, start, goal), expansions
+    return _trace(move_to, moves, start, goal), expansions, order
 
 
 @kernel

@@ -68,8 +68,8 @@ def slow_search(
     movement: Movement,
     trust: float,
     terrain: Bytes | None = None,
-) -> tuple[list[Cell], int]:
-    """Return path and number of expansions by the formulas in the docstring of `GuidedSearch`.
+) -> tuple[list[Cell], list[Cell]]:
+    """Return path and expanded cells by the formulas in the docstring of `GuidedSearch`.
 
     Here ``trust`` is the penalty of a move whose odds squared are 2 on this map.
     """
@@ -79,13 +79,13 @@ def slow_search(
     lengths = {start: 0.0}
     path_costs = {start: 0.0}
     frontier = [(0.0, 0, start)]
-    expanded: set[Cell] = set()
+    expanded: dict[Cell, None] = {}  # in their order
     pushes = 0
     while goal not in expanded:
         cell = heapq.heappop(frontier)[2]
         if cell in expanded:
             continue
-        expanded.add(cell)
+        expanded[cell] = None
         legal = []
         for neighbour, (_, diagonal_moves) in neighbours(grid.tolist(), cell, movement):
             move = moves.index((neighbour[0] - cell[0], neighbour[1] - cell[1]))
@@ -107,15 +107,15 @@ def slow_search(
     path = [goal]
     while path[-1] != start:
         path.append(parents[path[-1]])
-    return path[::-1], len(expanded)
+    return path[::-1], list(expanded)
 
 
 @pytest.mark.parametrize("all_tie", [False, True])
 @pytest.mark.parametrize("trust", [0.0, 0.4, 5.0])
 @pytest.mark.parametrize("movement", MOVEMENTS)
 def test_the_search_is_the_slow_one(movement: Movement, trust: float, all_tie: bool) -> None:
-    """Both have the same paths and numbers of expansions, for random predictions, and for equal
-    ones, where only the order among cells of equal f decides.
+    """Both have the same paths and expand the same cells in the same order, for random predictions,
+    and for equal ones, where only the order among cells of equal f decides.
     """
     problems = ProblemSet.sample(Forest((12, 14)), 1, 30, movement=movement)
     model = random_predictor(problems, 2)
@@ -128,9 +128,13 @@ def test_the_search_is_the_slow_one(movement: Movement, trust: float, all_tie: b
         goal = tuple(problems.goals[k].tolist())
         arguments = (problems.grids[k], model.scores[k], model.costs[k], start, goal, movement)
         # ``trust`` is a penalty on maps of 64 x 64; the mean side of these maps, 12 x 14, is 13.
-        path, expansions = slow_search(*arguments, trust * 64 / 13)
+        path, expanded = slow_search(*arguments, trust * 64 / 13)
         assert plan.path.tolist() == [list(cell) for cell in path]
-        assert plan.expansions == expansions
+        assert plan.expansions == len(expanded)
+        assert plan.order is not None
+        numbers = [plan.order[cell] for cell in expanded]
+        assert numbers == list(range(len(expanded)))
+        assert np.count_nonzero(plan.order >= 0) == len(expanded)
 
 
 @pytest.mark.parametrize("trust", [0.0, 0.4])
@@ -153,9 +157,9 @@ def test_the_search_on_terrain_is_the_slow_one(movement: Movement, trust: float)
         check_path(problems.grids[k], plan.path, movement, terrain=terrain)
         arguments = (problems.grids[k], model.scores[k], model.costs[k], start, goal, movement)
         unit = terrain[terrain > 0].mean()
-        path, expansions = slow_search(*arguments, trust * unit * 64 / 13, terrain)
+        path, expanded = slow_search(*arguments, trust * unit * 64 / 13, terrain)
         assert plan.path.tolist() == [list(cell) for cell in path]
-        assert plan.expansions == expansions
+        assert plan.expansions == len(expanded)
 
 
 def all_plans(planner: GuidedSearch, problems: ProblemSet, terrain: Any) -> list[Any]:
@@ -311,11 +315,11 @@ def test_the_row_without_a_network_is_the_slow_search_by_the_prior(movement: Mov
         goal = tuple(problems.goals[k].tolist())
         plan = row.plan(problems.grids[k], start, goal)
         ends = start, goal, movement
-        path, expansions = slow_search(
+        path, expanded = slow_search(
             problems.grids[k], scores[k], costs_to_go[k], *ends, 0.15 * 64 / 13
         )
         assert plan.path.tolist() == [list(cell) for cell in path]
-        assert plan.expansions == expansions
+        assert plan.expansions == len(expanded)
 
 
 def test_problems_may_share_a_map() -> None:

@@ -218,7 +218,7 @@ def test_classical_planners_solve_problems_alone_and_in_batches(movement: Moveme
         assert_same(rows["BFS"].plan(grid, start, goal), Plan(by_bfs.path, by_bfs.iterations))
         assert_same(rows["A*"].plan(grid, start, goal), Plan(by_astar.path, by_astar.iterations))
         assert_same(rows["limit"].plan(grid, start, goal), Plan(by_astar.path, len(by_astar.path)))
-        assert rows["A*"].plan(grid, start, goal)[2:] == (0, None)
+        assert rows["A*"].plan(grid, start, goal)[2:] == (0, None, None)
         assert rows["limit"].plan(grid, start, goal).prepared == by_astar.iterations
 
 
