@@ -21,6 +21,10 @@ DOCS = ROOT / "docs"
 
 SHORTER = {
     "README.md": ("SETS, STEPS = 8, 500", "SETS, STEPS = 2, 1"),
+    "docs/loading.md": (
+        "STEPS, PROBLEMS, WIDTH = 3000, 300, 64",
+        "STEPS, PROBLEMS, WIDTH = 2, 4, 8",
+    ),
 }
 """Trainings of minutes, and what runs in their place: the line of a page that says how long."""
 
