@@ -3,7 +3,6 @@
 - ``path_predictor.py``: a CNN that predicts the moves of shortest paths.
 - ``neural_astar.py``: Neural A* in one file.
 - ``cost_predictor.py``: a CNN that reads the costs of terrain from images, taught by paths.
-- ``costmap.py``: the costs of a robot's map, learnt from a few drives.
 - ``learned_planners.py``: the planners of a model, as rows of a table, and their validation.
 - ``lego/``: a sampler that learns where a roadmap needs its vertices.
 
@@ -35,8 +34,6 @@ if __name__ != "mapdata.models":
 
 if TYPE_CHECKING:
     from .cost_predictor import CostPredictor as CostPredictor
-    from .costmap import Costmap as Costmap
-    from .costmap import fit_costmap as fit_costmap
     from .learned_planners import GuidedSearch as GuidedSearch
     from .learned_planners import LearnedPlanner as LearnedPlanner
     from .learned_planners import planners as planners
@@ -53,7 +50,6 @@ if TYPE_CHECKING:
 _MODULES = {
     "CVAE": "lego.cvae",
     "CostPredictor": "cost_predictor",
-    "Costmap": "costmap",
     "GuidedSearch": "learned_planners",
     "Heatmap": "lego.sampler",
     "LearnedPlanner": "learned_planners",
@@ -63,17 +59,27 @@ _MODULES = {
     "PathPredictor": "path_predictor",
     "Sampler": "lego.sampler",
     "fast_precision": "model",
-    "fit_costmap": "costmap",
     "load_model": "model",
     "planners": "learned_planners",
 }
 """The module that each public name is imported from."""
+
+_MOVED = ("Costmap", "fit_costmap")
+"""Names of `mapdata.costmaps` that this version still gives here."""
 
 __all__ = [*_MODULES]  # noqa: PLE0604  (a list of names)
 
 
 def __getattr__(name: str) -> object:
     """Import a public name on first use."""
+    if name in _MOVED:
+        import warnings
+
+        warnings.warn(
+            f"mapdata.models.{name} is now mapdata.costmaps.{name}", FutureWarning, stacklevel=2
+        )
+        moved: object = getattr(import_module("mapdata.costmaps"), name)
+        return moved
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     member = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

@@ -36,7 +36,7 @@ each map have the geometric mean 1, and a planner stretches them to the range 1 
 
 Instead of a picture, the network can read any stack of planes per cell, such as the clearance of
 the cell or the class of its ground: ``CostPredictor(planes=2)`` takes two numbers of each cell, on
-maps of any size. `mapdata.models.costmap` fits one to the drives of a robot.
+maps of any size. `mapdata.costmaps` learns the costs of a robot's map from its drives.
 
 The class can also be taught in two other ways, to compare with: by the true costs, and by the loss
 of Neural A* (neural_astar.py), which wants the search to expand few cells, and so does not pin down

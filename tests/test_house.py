@@ -38,6 +38,7 @@ FOLDERS = (
     "problems",
     "plotting",
     "formats",
+    "costmaps",
     "datasets",
     "export",
     "evaluation",

@@ -541,12 +541,13 @@ class Tiles:
     picture with the map, and a ``radius`` does not change it. A map that is stored turned or
     reflected is another map, with a picture of its own.
 
-    ``jitter`` is for training pictures that have to be read in any light. The data module gives it
-    to the training split alone. It draws four things anew for each sample and epoch, from the
-    sampling seed, the epoch and the number of the problem: a contrast of 1/2 to 3/2 around level
-    128; a light of -48 to 48 grey levels, the same for all pixels and channels; a slanted light, of
-    up to 32 levels at the borders for each of the two axes; and a shift by up to a pixel for each 8
-    pixels of a tile, along both axes, after which the border pixels are repeated.
+    ``jitter`` is for training pictures that have to be read in any light, as long as they are sharp
+    and aligned. The data module gives it to the training split alone. It draws four things anew for
+    each sample and epoch, from the sampling seed, the epoch and the number of the problem: a
+    contrast of 1/2 to 3/2 around level 128; a light of -48 to 48 grey levels, the same for all
+    pixels and channels; a slanted light, of up to 32 levels at the borders for each of the two
+    axes; and a shift by up to a pixel for each 8 pixels of a tile, along both axes, after which the
+    border pixels are repeated.
 
     Attributes:
         pixels: k, rows and columns of a tile, 4 to 32.

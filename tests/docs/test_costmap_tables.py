@@ -30,6 +30,10 @@ def test_the_page_is_made_from_the_file_of_results(
     names = {(row["driver"], row["drives"], row["seed"]) for row in results["drivers"]}
     assert len(names) == len(results["drivers"])
     assert len(names) == len(costmap_tables.NAV2_DRIVERS) * 2 * len(costmap_tables.SEEDS)
+    named = [(row["driver"], row["drives"], row["seed"]) for row in results["named"]]
+    assert named == [
+        (*row, seed) for row in costmap_tables.NAMED_ROWS for seed in costmap_tables.NAMED_SEEDS
+    ]
     assert [row["track"] for row in results["tracks"]] == list(costmap_tables.TRACKS)
 
 
@@ -46,4 +50,4 @@ def test_each_driver_drives_on_free_cells(monkeypatch: pytest.MonkeyPatch) -> No
         place = costmap_tables.Place(hall, hidden, minds_carpet)
         cells = place.ros_map.to_cells(drive(place, np.random.default_rng(1)))
         assert (place.grid[tuple(cells.T)] == 0).mean() > 0.9
-        assert costmap_tables.mean_regret(place, place.costs, 0) < 0.5
+        assert costmap_tables.mean_regrets(place, {"own": place.costs}, 0)["own"] < 0.5

@@ -12,7 +12,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from mapdata import Movement, OnlineMapDataset, Sample, Terrain, Tiles, check_path, search_batch
-from mapdata.arrays import Bytes
+from mapdata.arrays import Bytes, Floats
 from mapdata.models import CostPredictor
 from mapdata.models.cost_predictor import (
     TRAINING_FIELDS,
@@ -339,3 +339,30 @@ def test_the_weights_that_ship_bear_another_light(contrast: float, light: int) -
     levels += torch.linspace(-20, 20, levels.shape[2])[:, None]
     changed = samples._replace(image=levels.round().clamp(0, 255).byte())
     assert planned_regret(CostPredictor.pretrained(), changed) < 0.002
+
+
+def test_a_predictor_reads_planes_of_any_size() -> None:
+    """Each cell's cost depends on its own numbers alone."""
+    model = CostPredictor(planes=2).eval()
+    rng = np.random.default_rng(4)
+    planes = rng.standard_normal((1, 2, 9, 14)).astype(np.float32)
+    grids = np.zeros((1, 9, 14), np.uint8)
+    terrain = model.predict(planes, grids)
+    assert terrain.shape == (1, 9, 14)
+    assert terrain.min() >= 1
+    turned = model.predict(np.ascontiguousarray(planes[:, :, ::-1]), grids)
+    np.testing.assert_array_equal(turned, terrain[:, ::-1])
+
+
+@pytest.mark.parametrize(
+    ("planes", "message"),
+    [
+        (np.zeros((1, 3, 9, 14)), r"expected \(1, 2, 9, 14\)"),
+        (np.full((1, 2, 9, 14), np.nan), "got the value nan, expected finite numbers"),
+    ],
+    ids=["shape", "nan"],
+)
+def test_wrong_planes_are_refused(planes: Floats, message: str) -> None:
+    """The message says what was expected."""
+    with pytest.raises(ValueError, match=message):
+        CostPredictor(planes=2).predict(planes, np.zeros((1, 9, 14), np.uint8))

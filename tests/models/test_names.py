@@ -53,6 +53,18 @@ def test_the_public_names_are_those_of_type_checkers() -> None:
         models.Planner  # noqa: B018
 
 
+@pytest.mark.parametrize("name", ["Costmap", "fit_costmap"])
+def test_names_of_costmaps_are_there_for_one_more_version(name: str) -> None:
+    """In both of their former places, with a warning that names the new one."""
+    from mapdata import costmaps
+    from mapdata.models import costmap
+
+    for place in (models, costmap):
+        with pytest.warns(FutureWarning, match=rf"is now mapdata\.costmaps\.{name}$"):
+            assert getattr(place, name) is getattr(costmaps, name)
+    assert name not in models.__all__
+
+
 def test_importing_the_models_loads_no_torch() -> None:
     """Nor numba or Lightning: the names are imported on first use."""
     program = """
@@ -117,11 +129,11 @@ def test_an_unknown_name_of_weights_is_refused(
     assert "\n" not in str(raised.value)
 
 
-def test_only_samplers_and_costmaps_need_scipy(
+def test_only_samplers_need_scipy(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Without it their command is one line that names the extra."""
-    for file in set(FOLDER.glob("*.py")) - {FOLDER / "costmap.py"}:
+    for file in FOLDER.glob("*.py"):
         assert "import scipy" not in file.read_text(encoding="utf-8")
         assert "from scipy" not in file.read_text(encoding="utf-8")
     for name in [name for name in sys.modules if name.startswith("mapdata.models.lego")]:

@@ -1,9 +1,9 @@
-"""Costmaps from drives: reading of drives, the fit, Nav2's formulas, files for map_server."""
+"""Costmaps from drives: the fit, its curve, and files for map_server."""
 
 from __future__ import annotations
 
 import math
-import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,18 +12,11 @@ import pytest
 
 from mapdata import check_path, search_batch, terrain_from_costs
 from mapdata.arrays import Bytes, Floats, Ints
-from mapdata.formats.ros import RosMap, read_map
-from mapdata.models import CostPredictor, fit_costmap
-from mapdata.models.costmap import (
-    MAX_OCCUPANCY,
-    MOVEMENT,
-    Costmap,
-    cells_of_drive,
-    clearance_plane,
-    inflation_costs,
-    read_drives,
-    site_of,
-)
+from mapdata.costmaps import Costmap, fit_costmap, inflation_layer, site_of
+from mapdata.costmaps.costmap import MAX_OCCUPANCY
+from mapdata.costmaps.sites import MOVEMENT
+from mapdata.formats import RosMap
+from mapdata.formats.ros import read_map
 from mapdata.search import clearance
 
 RESOLUTION = 0.1
@@ -74,83 +67,19 @@ def drives_on(ros_map: RosMap, count: int) -> pd.DataFrame:
     return pd.concat(tables)
 
 
+@pytest.fixture(autouse=True, scope="module")
+def quick_inflation_layer() -> Iterator[None]:
+    """Try few inflation layers; they have tests of their own."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, number in {"PARTS": 16, "RANDOM_TRIES": 5, "TRIES": 5}.items():
+            patch.setattr(inflation_layer, name, number)
+        yield
+
+
 @pytest.fixture(scope="module")
 def costmap() -> Costmap:
     """Return a quick fit."""
     return fit_costmap(office(), drives_on(office(), 8), robot_radius=RADIUS, starts=2, steps=60)
-
-
-# --- drives -------------------------------------------------------------------------------------
-
-
-def test_drives_are_told_apart_by_numbers_or_gaps(tmp_path: Path) -> None:
-    """A column ``drive`` decides; without it a gap of more than a metre does."""
-    poses = [[0, 0], [0.5, 0], [1.2, 0], [3, 0], [3, 0.9]]
-    table = pd.DataFrame(poses, columns=["x", "y"])
-    assert [len(drive) for drive in read_drives(table)] == [3, 2]
-    table.assign(drive=["b", "b", "a", "a", "b"]).to_csv(tmp_path / "drives.csv", index=False)
-    by_name = read_drives(tmp_path / "drives.csv")
-    assert [drive.tolist() for drive in by_name] == [
-        [[0, 0], [0.5, 0], [3, 0.9]],
-        [[1.2, 0], [3, 0]],
-    ]
-
-
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
-        (pd.DataFrame({"x": [1.0], "z": [1.0]}), "got the columns x, z, expected x and y"),
-        (pd.DataFrame({"x": [1.0, math.nan], "y": [1.0, 1.0]}), r"row 1 has \[nan, 1.0\]"),
-    ],
-    ids=["column", "nan"],
-)
-def test_bad_tables_are_refused(table: pd.DataFrame, message: str) -> None:
-    """The message names the column or the row."""
-    with pytest.raises(ValueError, match=message):
-        read_drives(table)
-
-
-@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.0])
-def test_poses_are_snapped_to_the_cells_of_map_server(yaw: float) -> None:
-    """Cells equal those of `RosMap.to_cells`, on maps that are turned as well."""
-    ros_map = office((-3.0, 2.0, yaw))
-    cells = np.stack([np.full(20, 8), np.arange(10, 30)], axis=1)
-    (part,), dropped = cells_of_drive(ros_map.to_metres(cells=cells), ros_map, ros_map.grid())
-    np.testing.assert_array_equal(part, cells)
-    assert set(dropped.values()) == {0}
-
-
-def test_what_is_dropped_is_counted() -> None:
-    """A drive through a pillar falls into two parts; poses outside and short rests go."""
-    ros_map = office()
-    row = ros_map.to_metres(cells=np.array([[18, 2], [18, 28]]))  # through the first pillar
-    outside = np.array([[50.0, 50.0]])
-    parts, dropped = cells_of_drive(np.concatenate([row, outside]), ros_map, ros_map.grid())
-    assert [part.tolist() for part in parts] == [
-        [[18, column] for column in range(2, 14)],
-        [[18, column] for column in range(18, 29)],
-    ]
-    assert dropped == {
-        "poses outside of the map": 1,
-        "cells that are not free": 4,
-        "cells in parts that are too short": 0,
-    }
-    short = ros_map.to_metres(cells=np.array([[18, 11], [18, 16]]))
-    parts, dropped = cells_of_drive(short, ros_map, ros_map.grid())
-    assert (parts, dropped["cells in parts that are too short"]) == ([], 3)
-
-
-def test_lines_between_poses_are_moves() -> None:
-    """Joined cells are neighbours, and begin and end at those of the poses."""
-    rng = np.random.default_rng(2)
-    ros_map = RosMap(np.zeros((50, 70), np.int8), RESOLUTION, (0.0, 0.0, 0.0))
-    cells = rng.integers(0, 50, (12, 2))
-    (part,), _ = cells_of_drive(ros_map.to_metres(cells=cells), ros_map, ros_map.grid())
-    assert set(np.abs(np.diff(part, axis=0)).max(axis=1).tolist()) == {1}
-    visited = list(map(tuple, part.tolist()))
-    assert visited[0] == tuple(cells[0])
-    assert visited[-1] == tuple(cells[-1])
-    assert {tuple(cell) for cell in cells.tolist()} <= set(visited)
 
 
 # --- the fit ------------------------------------------------------------------------------------
@@ -186,17 +115,50 @@ def test_costs_begin_at_one_on_free_cells(costmap: Costmap) -> None:
 
 
 def test_the_curve_has_the_driven_cells_and_a_range(costmap: Costmap) -> None:
-    """Costs lie in the range of the starts; its smallest one is where the driver drives."""
+    """Costs lie in the range of the starts; the smallest one is where the driver drives."""
     curve = costmap.curve
     assert curve is not None
     assert (curve["low"] <= curve["cost"]).all()
     assert (curve["cost"] <= curve["high"]).all()
-    driven = curve[curve["driven"] >= 20]
-    cheapest = driven["clearance"].to_numpy()[driven["cost"].to_numpy().argmin()]
+    assert not curve["driven"][curve["clearance"] < RADIUS - 0.05].any()
+    cheapest = curve["clearance"].iloc[curve["cost"].argmin()]
     assert abs(cheapest - 0.6) < 0.11
     axes = costmap.plot()
     assert len(axes.get_lines()) == 2
     assert "obstacle" in axes.get_xlabel()
+    assert axes.get_title().endswith(f"{costmap.misjudgement:.1f}")
+
+
+def test_the_curve_is_in_metres_and_costs_of_the_cheapest_clearance(costmap: Costmap) -> None:
+    """A cell's cost is that of the curve at its clearance in metres, up to one factor."""
+    curve = costmap.curve
+    assert curve is not None
+    assert curve["cost"].min() == pytest.approx(1)
+    assert curve["clearance"].to_numpy() == pytest.approx(0.025 + 0.05 * np.arange(40))
+    is_free = costmap.grids[0] == 0
+    metres = clearance(office().grid())[is_free] * RESOLUTION
+    at_cells = np.interp(metres, curve["clearance"], np.log(curve["cost"]))
+    np.testing.assert_allclose(
+        np.log(costmap.costs[0][is_free]), at_cells - at_cells.min(), atol=1e-4
+    )
+
+
+@pytest.mark.slow
+def test_the_misjudgement_of_a_driver_is_found() -> None:
+    """Drives under costs times exp(.5 * normal) give a factor near exp(.5), others one near 1."""
+    site = site_of(office(), RADIUS)
+    costs = 1 + 6 * np.abs(np.minimum(clearance(office().grid()) * RESOLUTION, 1.5) - 0.6)
+    rng = np.random.default_rng(5)
+    tables = []
+    for number, ends in enumerate(problems(site.grid, 20, 3)):
+        wrong = costs * np.exp(0.5 * rng.standard_normal(costs.shape))
+        terrain = terrain_from_costs(np.where(site.grid, 1, wrong)[None], site.grid[None])[0]
+        poses = office().to_metres(cells=path_on(site.grid, terrain, ends))
+        tables.append(pd.DataFrame({"x": poses[:, 0], "y": poses[:, 1], "drive": number}))
+    sloppy = fit_costmap(office(), pd.concat(tables), robot_radius=RADIUS, starts=1)
+    clean = fit_costmap(office(), drives_on(office(), 8), robot_radius=RADIUS, starts=1)
+    assert sloppy.misjudgement == pytest.approx(math.exp(0.5), rel=0.15)
+    assert clean.misjudgement == pytest.approx(1, abs=0.15)
 
 
 @pytest.mark.slow
@@ -233,6 +195,7 @@ def test_planes_of_ones_own_and_several_maps() -> None:
     )
     assert [costs.shape for costs in costmap.costs] == [(40, 60), (40, 80)]
     assert costmap.curve is None
+    assert costmap.misjudgement is None
     with pytest.raises(ValueError, match="there is no curve"):
         costmap.plot()
 
@@ -256,30 +219,6 @@ def test_bad_arguments_are_refused(changes: dict[str, object], message: str) -> 
         fit_costmap(office(), **arguments)  # type: ignore[arg-type]
 
 
-# --- Nav2 ---------------------------------------------------------------------------------------
-
-
-def test_the_inflation_layer_follows_the_formula_of_nav2() -> None:
-    """Cell by cell in plain Python, on a map with one obstacle; the cost is cut to an integer."""
-    cells = np.zeros((15, 15), np.int8)
-    cells[7, 7] = 100
-    site = site_of(RosMap(cells, RESOLUTION, (0.0, 0.0, 0.0)), RADIUS)
-    costs = inflation_costs(site, RADIUS, inflation_radius=0.45, cost_scaling_factor=5.0)
-    for row, column in ((7, 9), (7, 10), (7, 11), (7, 12), (4, 7)):
-        distance = RESOLUTION * max(abs(row - 7), abs(column - 7))
-        layer = int(252 * math.exp(-5.0 * (distance - RADIUS))) if distance <= 0.45 else 0
-        charge = 50 + 0.8 * layer
-        assert costs[row, column] == pytest.approx(charge / 50)
-    assert costs[7, 8] == 0  # the robot cannot be there
-
-
-def test_without_scipy_the_message_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is needed for the distances of the inflation layer alone."""
-    monkeypatch.setitem(sys.modules, "scipy.ndimage", None)
-    with pytest.raises(ModuleNotFoundError, match=r"needs scipy, the extra \[examples\]"):
-        inflation_costs(site_of(office(), RADIUS), RADIUS, 0.5, 3.0)
-
-
 def test_map_server_reads_the_costs_back(costmap: Costmap, tmp_path: Path) -> None:
     """Mode raw is the occupancy itself; NavFn's charge is 50 times the cost, up to a rounding,
     until it is clipped.
@@ -299,40 +238,3 @@ def test_map_server_reads_the_costs_back(costmap: Costmap, tmp_path: Path) -> No
     assert (wanted[is_clipped] >= charge[is_clipped] - 1.02).all()
     most = 50 + 0.8 * 2.54 * (MAX_OCCUPANCY + 0.5)
     assert clipped == pytest.approx((wanted > most).mean(), abs=1e-3)
-
-
-# --- planes of a CostPredictor ------------------------------------------------------------------
-
-
-def test_a_predictor_reads_planes_of_any_size() -> None:
-    """Each cell's cost depends on its own numbers alone."""
-    model = CostPredictor(planes=2).eval()
-    rng = np.random.default_rng(4)
-    planes = rng.standard_normal((1, 2, 9, 14)).astype(np.float32)
-    grids = np.zeros((1, 9, 14), np.uint8)
-    terrain = model.predict(planes, grids)
-    assert terrain.shape == (1, 9, 14)
-    assert terrain.min() >= 1
-    turned = model.predict(np.ascontiguousarray(planes[:, :, ::-1]), grids)
-    np.testing.assert_array_equal(turned, terrain[:, ::-1])
-
-
-@pytest.mark.parametrize(
-    ("planes", "message"),
-    [
-        (np.zeros((1, 3, 9, 14)), r"expected \(1, 2, 9, 14\)"),
-        (np.full((1, 2, 9, 14), np.nan), "got the value nan, expected finite numbers"),
-    ],
-    ids=["shape", "nan"],
-)
-def test_wrong_planes_are_refused(planes: Floats, message: str) -> None:
-    """The message says what was expected."""
-    with pytest.raises(ValueError, match=message):
-        CostPredictor(planes=2).predict(planes, np.zeros((1, 9, 14), np.uint8))
-
-
-def test_the_default_plane_is_the_clearance_in_metres() -> None:
-    """Up to two metres."""
-    grid = np.zeros((60, 60), np.uint8)
-    plane = clearance_plane(grid, RESOLUTION)
-    np.testing.assert_allclose(plane[0], np.minimum(clearance(grid) * RESOLUTION, 2))
