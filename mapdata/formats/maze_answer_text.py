@@ -132,8 +132,9 @@ _MAX_MARKS = 10
 """How many marks may stand around one another; a text may consist of them."""
 
 _NEGATION = re.compile(
-    r"\b(?:not|no|never|none|neither|nor|cannot|\w+n't|dont|wrong|incorrect|false|invalid|"
-    r"illegal|bad|impossible|unable|blocked|fails?|failed|tried|attempt|avoid|ignore|reject|discard|"
+    r"\b(?:not|no|never|none|neither|nor|cannot|\w+n't|"
+    r"(?:is|are|was|were|do|does|did|ca|wo)nt|wrong|incorrect|false|invalid|illegal|"
+    r"bad|impossible|unable|blocked|fails?|failed|tried|attempt|avoid|ignore|reject|discard|"
     r"or|either|otherwise|else|unless|if|except|instead|another|other|alternatives?|alternatively|"
     r"options?|candidates?|choices?|examples?)\b",
     _IGNORE_CASE,
@@ -144,7 +145,8 @@ _DOUBT = re.compile(
     r"\b(?:unsure|uncertain|unclear|guess|guessing|doubt|maybe|perhaps|probably|possibly|might|may|"
     r"could|seems?|likely|hope|assuming|no idea|I (?:think|believe|suppose|assume))\b|"
     r"(?:\bnot|n't|\bnever)\b[^.!?]{0,30}\b(?:sure|certain|confident|know)\b|"
-    r"\bfollowing\b[^.!?]{0,60}(?:\b(?:not|no|wrong|incorrect|false|invalid)|n't)\b",
+    r"\b(?:following|below|next (?:line|answer|path|one))\b[^.!?]{0,60}"
+    r"(?:\b(?:not|no|wrong|incorrect|false|invalid)|n't)\b",
     _IGNORE_CASE,
 )
 """Words before an answer by which it is a guess, or wrong, even if it has a label."""
@@ -322,7 +324,7 @@ def _answers_of_lines(
 
     Returns:
         the answers; the cells of the last copy, empty without one; the last line of other words,
-        "" if an answer or a copy follows it.
+        "" if an answer follows it, or a copy that it only introduces.
     """
     answers: list[_Answer] = []
     copies: tuple[str, ...] = ()
@@ -334,7 +336,10 @@ def _answers_of_lines(
         line_count, mazes = _maze_at(lines, k, maze)
         line = _Line(MAZE_FORM, mazes=mazes) if mazes else _read_line(stripped, maze)
         if mazes and "o" not in mazes[0]:
-            copies, words, label, can_continue = mazes, "", "", False
+            copies, can_continue = mazes, False
+            # Words before it may introduce it, but what takes an answer back stays.
+            if not (answers and (label or _DOUBT.search(words) or _NEGATION.search(words))):
+                words, label = "", ""
         elif line is not None:
             separator = _separator(answers[-1], line, is_after_blank) if can_continue else ""
             if separator:

@@ -105,6 +105,16 @@ def test_answers_that_are_denied_taken_back_double_or_hedged_score_0(
 
 
 @pytest.mark.parametrize(
+    "words",
+    ["but I am not sure about the maze:", "This is wrong.", "Maybe.", "No, I answer:", "Answer:"],
+)
+def test_a_copy_of_the_question_hides_no_words_that_take_an_answer_back(words: str) -> None:
+    """Words that only introduce the copy are ignored with it."""
+    assert check_answer(MAZE, f"Answer: RRD\nThe maze was:\n{MAZE}").score == 1
+    assert check_answer(MAZE, f"Answer: RRD\n{words}\n{MAZE}").score == 0
+
+
+@pytest.mark.parametrize(
     "count", [400, pytest.param(20_000, marks=pytest.mark.slow)], ids=["few", "many"]
 )
 def test_scores_are_those_of_a_breadth_first_search(count: int) -> None:

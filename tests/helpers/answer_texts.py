@@ -288,6 +288,10 @@ DENIED = [
     "It fails:\n\nAnswer: {0}",
     "The following is wrong.\nAnswer: {0}",
     "The following isn't the path. The path is {0}",
+    "The next line is wrong.\nAnswer: {0}",
+    "The answer below is wrong.\nAnswer: {0}",
+    "This isnt it:\n{0}",
+    "This wont work:\n{0}",
 ]
 
 TAKEN_BACK = [
