@@ -1,10 +1,11 @@
 """The file of results behind the tables of planners, docs/planner_results.json.
 
-The file is a JSON object with four entries:
+The file is a JSON object with five entries:
 
     format_version    1
     sets              the sets of problems, by name
     rows              one object for each planner on a set
+    differences       one object for each network on a set: what it adds to the search without one
     runs              the commands that measured the rows, and on which machine
 
 A set has ``hash`` (`ProblemSet.content_hash`; equal hashes mean equal problems), ``problems`` and
@@ -17,6 +18,10 @@ subset ("hard" or "all"), n, the metrics with the ends of their 95 % intervals (
 The times are processor time, in milliseconds a problem, of the first hundred problems. A* with
 landmarks also has ms_prepared, the time on a map whose landmarks are placed already.
 ``baseline`` is the planner whose expansions count as 1, mapdata's A* where it is null.
+
+A difference has ``set``, ``run``, ``planner``, and the columns ``opt_difference`` and
+``expansion_ratio_difference`` of `mapdata.evaluate`, minus "guided search, no network", with the
+ends of their intervals.
 
 A run has ``command``, ``date``, ``machine``, ``threads`` and ``versions``. Figures of others and
 figures that were not measured again have a run, too, whose ``source`` says where they are from.
@@ -57,6 +62,7 @@ class Results:
     sets: dict[str, dict[str, Any]] = field(default_factory=dict)
     rows: list[dict[str, Any]] = field(default_factory=list)
     runs: list[dict[str, Any]] = field(default_factory=list)
+    differences: list[dict[str, Any]] = field(default_factory=list)
 
     @classmethod
     def read(cls, path: Path) -> Results:
@@ -79,9 +85,11 @@ class Results:
         )
         rows = ",\n".join(map(json.dumps, self.rows))
         runs = ",\n".join(map(json.dumps, self.runs))
+        differences = ",\n".join(map(json.dumps, self.differences))
+        more = f',\n"differences": [\n{differences}\n]' if differences else ""
         text = (
             f'{{"format_version": 1,\n"sets": {{\n{sets}\n}},\n'
-            f'"rows": [\n{rows}\n],\n"runs": [\n{runs}\n]}}\n'
+            f'"rows": [\n{rows}\n],\n"runs": [\n{runs}\n]{more}}}\n'
         )
         write_output(path, text.encode())
 
@@ -90,6 +98,7 @@ class Results:
         content_hash = problems.content_hash
         if self.sets.get(name, {}).get("hash") != content_hash:
             self.rows = [row for row in self.rows if row["set"] != name]
+            self.differences = [row for row in self.differences if row["set"] != name]
         self.sets[name] = {
             "hash": content_hash,
             "problems": len(problems),
@@ -109,6 +118,31 @@ class Results:
             self._put(row)
         self._forget_unused_runs()
 
+    def add_differences(self, name: str, table: pd.DataFrame, run: dict[str, Any]) -> None:
+        """Add the differences of the planners of a table of `evaluate`, in place of older ones."""
+        if run not in self.runs:
+            self.runs.append(run)
+        columns = [
+            f"{metric}_difference{end}"
+            for metric in ("opt", "expansion_ratio")
+            for end in ("", "_low", "_high")
+        ]
+        for measured in table.to_dict("records"):
+            planner = measured["planner"]
+            self.differences = [
+                row for row in self.differences if (row["set"], row["planner"]) != (name, planner)
+            ]
+            row = {"set": name, "run": self.runs.index(run), "planner": planner}
+            self.differences.append(row | {column: plain(measured[column]) for column in columns})
+        self._forget_unused_runs()
+
+    def difference_of(self, name: str, planner: str) -> dict[str, Any] | None:
+        """Return the difference of a planner on a set, or None if it was not measured."""
+        for row in self.differences:
+            if (row["set"], row["planner"]) == (name, planner):
+                return row
+        return None
+
     def rows_of(self, name: str) -> dict[str, dict[str, Any]]:
         """Return the rows of a set by the names of the planners."""
         return {row["planner"]: row for row in self.rows if row["set"] == name}
@@ -123,9 +157,10 @@ class Results:
 
     def _forget_unused_runs(self) -> None:
         """Drop the runs that no row names, and number the others anew."""
-        used = sorted({row["run"] for row in self.rows})
+        rows = [*self.rows, *self.differences]
+        used = sorted({row["run"] for row in rows})
         self.runs = [self.runs[index] for index in used]
-        for row in self.rows:
+        for row in rows:
             row["run"] = used.index(row["run"])
 
 

@@ -11,6 +11,9 @@ where it gives the cell, or the move that leads there, a probability of at most 
 the latest comes first. So a network that expects a path everywhere leaves A* as it is. The penalty
 is chosen for each network on validation problems of ``paper``.
 
+The first row is `mapdata.evaluation.GuidedSearch` without a network, which needs no training.
+``--no-network`` measures this row alone.
+
 With ``--device cuda`` it takes a quarter of an hour, on one core of a processor hours. ``--weights
 FOLDER`` keeps the trained networks, and takes those that are there.
 """
@@ -31,9 +34,9 @@ import torch.nn.functional as F  # noqa: N812  (its usual name)
 from scipy.stats import binomtest
 from torch import Tensor
 
-from mapdata import Movement, OnlineMapDataset, ProblemSet, Random
+from mapdata import Movement, OnlineMapDataset, ProblemSet, Random, check_path
 from mapdata.arrays import Bytes, Float32s, Floats, Ints
-from mapdata.evaluation import confidence_intervals
+from mapdata.evaluation import BatchPlanner, classical, confidence_intervals
 from mapdata.models.layers import Trunk
 from mapdata.problems.sources import SourceLike
 from mapdata.search import STEPS
@@ -74,6 +77,8 @@ SHOWN_SETS = ("`paper`, hard", "`dungeon`, hard", "`cave`, hard")
 """The columns of the page, as many as a phone shows. The file has all of `TEST_SETS`."""
 
 PENALTIES = (0.5, 2.0, 8.0, 32.0)
+
+NO_NETWORK = "guided search, no network"
 
 MOVES = [(int(down), int(right)) for down, right in STEPS]
 LENGTHS = [math.hypot(down, right) for down, right in MOVES]
@@ -271,6 +276,19 @@ def without_network(problems: ProblemSet) -> Floats:
     return searched(problems, nothing, 0.0)
 
 
+def by_the_prior(problems: ProblemSet) -> Floats:
+    """Return what `searched` says of the guided search without a network."""
+    (planner,) = [one for one in classical(MOVEMENT) if one.name == NO_NETWORK]
+    assert isinstance(planner, BatchPlanner)
+    plans = planner.plan_batch(problems.grids, problems.starts, problems.goals)
+    costs = [
+        check_path(grid, plan.path, MOVEMENT)
+        for grid, plan in zip(problems.grids, plans, strict=True)
+    ]
+    expansions = [plan.expansions for plan in plans]
+    return np.array([costs == problems.optimal.cost, expansions], float).T
+
+
 def row_of(results: Floats, plain: Floats) -> dict[str, list[float]]:
     """Return the optimal share and the expansions beside A*, each with its interval of 95 %.
 
@@ -291,6 +309,17 @@ def row_of(results: Floats, plain: Floats) -> dict[str, list[float]]:
     }
 
 
+def problems_of(set_name: str) -> ProblemSet:
+    """Return the problems of one of `TEST_SETS`."""
+    family, problems = TEST_SETS[set_name]
+    return ProblemSet.sample(family, TEST_SEED, TEST_PROBLEMS, movement=MOVEMENT, problems=problems)
+
+
+def row_without_network(problems: ProblemSet, plain: Floats) -> dict[str, list[float]]:
+    """Return the row of the guided search without a network; ``plain`` is as in `row_of`."""
+    return row_of(by_the_prior(problems)[None], plain)
+
+
 def measure(networks: dict[str, list[Network]]) -> dict[str, Any]:
     """Return the rows of all trainings on all test sets."""
     validation = ProblemSet.sample(
@@ -302,12 +331,10 @@ def measure(networks: dict[str, list[Network]]) -> dict[str, Any]:
         for name, of_seeds in networks.items()
     }
     sets: dict[str, Any] = {}
-    for set_name, (family, problems) in TEST_SETS.items():
-        test = ProblemSet.sample(
-            family, TEST_SEED, TEST_PROBLEMS, movement=MOVEMENT, problems=problems
-        )
+    for set_name in TEST_SETS:
+        test = problems_of(set_name)
         plain = without_network(test)
-        rows = {}
+        rows = {NO_NETWORK: row_without_network(test, plain)}
         for name, of_seeds in networks.items():
             results = [
                 searched(test, predict(network, test), penalty)
@@ -343,6 +370,13 @@ def text_of(values: list[float], figure: str) -> str:
     return f"{value:.2f} ±{half_width:.2f}"
 
 
+def write(results: dict[str, Any], file: Path) -> None:
+    """Write the results to a file, and print their tables."""
+    file.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    for figure in ("optimal", "expansions"):
+        print(f"{figure}\n\n{table_of(results, figure)}\n")
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Train, measure, and write the results."""
     parser = argparse.ArgumentParser(
@@ -350,31 +384,38 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("--device", default="cpu", help="where to train: cpu, cuda")
     parser.add_argument("--weights", type=Path, metavar="FOLDER", help="of trained networks")
+    parser.add_argument("--no-network", action="store_true", help="measure the first row alone")
     options = parser.parse_args(arguments)
+    file = DOCS / "training_results.json"
+    if options.no_network:
+        results = json.loads(file.read_text(encoding="utf-8"))
+        for set_name, of_set in results["sets"].items():
+            test = problems_of(set_name)
+            rows = {NO_NETWORK: row_without_network(test, without_network(test))}
+            of_set["rows"].pop(NO_NETWORK, None)
+            of_set["rows"] = rows | of_set["rows"]
+        write(results, file)
+        return
     networks: dict[str, list[Network]] = {}
     for number, (name, (problems, target)) in enumerate(TRAININGS.items()):
         outputs = 8 if target == "optimal_moves" else 1
         networks[name] = []
         for seed in SEEDS:
-            file = options.weights / f"training-{number}-{seed}.pt" if options.weights else None
-            if file is not None and file.exists():
+            kept = options.weights / f"training-{number}-{seed}.pt" if options.weights else None
+            if kept is not None and kept.exists():
                 network = Network(outputs).eval()
-                network.load_state_dict(torch.load(file, weights_only=True))
+                network.load_state_dict(torch.load(kept, weights_only=True))
             else:
                 maps, starts, goals, targets = (
                     tensor.to(options.device) for tensor in training_problems(problems, target)
                 )
                 network = train(maps, starts, goals, targets, outputs, seed).cpu()
-                if file is not None:
+                if kept is not None:
                     options.weights.mkdir(parents=True, exist_ok=True)
-                    torch.save(network.state_dict(), file)
+                    torch.save(network.state_dict(), kept)
             networks[name].append(network)
             print(f"{name}, seed {seed}: trained", flush=True)
-    results = measure(networks)
-    text = json.dumps(results, indent=1) + "\n"
-    (DOCS / "training_results.json").write_text(text, encoding="utf-8")
-    for figure in ("optimal", "expansions"):
-        print(f"{figure}\n\n{table_of(results, figure)}\n")
+    write(measure(networks), file)
 
 
 if __name__ == "__main__":

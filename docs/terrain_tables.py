@@ -15,7 +15,7 @@ import argparse
 import logging
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -164,12 +164,11 @@ def problems_of(name: str) -> ProblemSet:
     )
 
 
-def measure(results: Results, model: PathPredictor) -> None:
-    """Add the sets and rows of all families to results."""
-    run = this_run("python docs/terrain_tables.py")
+def measure(results: Results, planners: Sequence[Planner], command: str) -> None:
+    """Add the sets of all families, and the rows of the planners on them, to results."""
+    run = this_run(command)
     for name, family in TEST_FAMILIES.items():
         problems = problems_of(name)
-        planners = planners_of(model)
         table = evaluate(planners, problems)
         table = table[table["subset"] == "all"].set_index("planner", drop=False)
         for planner in planners:
@@ -207,10 +206,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", type=Path)
     parser.add_argument("--weights", type=Path, help="file to load the weights from, or to write")
+    parser.add_argument(
+        "--no-network", action="store_true", help="measure the search without a network alone"
+    )
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     logging.getLogger("pytorch_lightning").setLevel(logging.ERROR)
     warnings.filterwarnings("ignore", module="pytorch_lightning")
+    command = "python docs/terrain_tables.py"
+    if arguments.no_network:
+        results = Results.read(arguments.file)
+        rows = [
+            one
+            for one in classical(MOVEMENT, terrain=True)
+            if one.name == "guided search, no network"
+        ]
+        measure(results, rows, f"{command} --no-network")
+        results.write(arguments.file)
+        print(table_of(results))
+        return
     if arguments.weights is not None and arguments.weights.exists():
         model = PathPredictor.load(arguments.weights)
     else:
@@ -220,7 +234,7 @@ def main() -> None:
         if arguments.weights is not None:
             model.save(arguments.weights)
     results = Results()
-    measure(results, model)
+    measure(results, planners_of(model), command)
     results.write(arguments.file)
     print(table_of(results))
 

@@ -24,7 +24,18 @@ from xml.etree import ElementTree
 import numpy as np
 import torch
 from planner_results import Results, this_run
-from planner_tables import DOCS, RULES, all_planners, measured, table_of, words_of, write_pages
+from planner_tables import (
+    DOCS,
+    NO_NETWORK,
+    RULES,
+    add,
+    all_planners,
+    guided_planners,
+    measured,
+    table_of,
+    words_of,
+    write_pages,
+)
 from torch import Tensor
 from zero_shot import hard_problems
 
@@ -123,6 +134,7 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("checkout", type=Path, help="of TransPath's repository")
     parser.add_argument("--hard", type=int, default=20, help="hard problems on a map")
+    parser.add_argument("--no-network", action="store_true", help="measure this row alone")
     parser.add_argument("--folder", type=Path, default=DOCS, help="of results and pages")
     options = parser.parse_args(arguments)
     warnings.simplefilter("ignore")
@@ -130,9 +142,13 @@ def main(arguments: list[str] | None = None) -> None:
     results = Results.read(options.folder / "planner_results.json")
     run = this_run(" ".join(["python docs/transpath.py", *words_of(arguments or sys.argv[1:])]))
     problems = problems_of(maps_of(options.checkout), options.hard)
-    table = measured([*all_planners(problems.movement), *published(options.checkout)], problems)
+    if options.no_network:
+        table = measured(guided_planners(problems.movement), problems)
+    else:
+        planners = [*all_planners(problems.movement), *published(options.checkout)]
+        table = measured(planners, problems)
     results.add_set(NAME, problems)
-    results.add_rows(NAME, table, run)
+    add(results, NAME, table, run, [NO_NETWORK] if options.no_network else None)
     results.write(options.folder / "planner_results.json")
     print(table_of(results, NAME))
     write_pages(results, options.folder)

@@ -7,7 +7,8 @@ away the start. Hard problems are collected until there are 300 of a map. Robots
 to cells of 0.2 m first, where a cell is occupied if any of its parts is, or unknown.
 
 The rows go to docs/planner_results.json, and the tables of the pages are made from it. With
-``--add MODULE:NAME`` it is a planner of your own that is measured, as in planner_tables.py.
+``--add MODULE:NAME`` it is a planner of your own that is measured, and with ``--no-network`` the
+search without a network, as in planner_tables.py.
 """
 
 from __future__ import annotations
@@ -22,8 +23,11 @@ import torch
 from planner_results import Results, this_run
 from planner_tables import (
     DOCS,
+    NO_NETWORK,
     RULES,
+    add,
     all_planners,
+    guided_planners,
     measured,
     table_of,
     words_of,
@@ -110,6 +114,7 @@ def main(arguments: list[str] | None = None) -> None:
         metavar="MODULE:NAME",
         help="measure this planner alone; may be repeated",
     )
+    parser.add_argument("--no-network", action="store_true", help="measure this row alone")
     parser.add_argument("--folder", type=Path, default=DOCS, help="of results and pages")
     options = parser.parse_args(arguments)
     warnings.simplefilter("ignore")
@@ -121,6 +126,8 @@ def main(arguments: list[str] | None = None) -> None:
     ending = "-cut" if options.corner_cutting else ""
     movement = RULES[ending]
     rows = [make(movement) for make in own] or all_planners(movement)
+    if options.no_network:
+        rows = guided_planners(movement)
     for map_name, grid in grids_of(options.maps).items():
         problems = hard_problems(map_name, grid, movement, options.size, options.hard)
         if problems is None:
@@ -128,7 +135,13 @@ def main(arguments: list[str] | None = None) -> None:
             continue
         name = zero_shot_name(map_name, options.size, ending)
         results.add_set(name, problems)
-        results.add_rows(name, measured(rows, problems), run)
+        add(
+            results,
+            name,
+            measured(rows, problems),
+            run,
+            [NO_NETWORK] if options.no_network else None,
+        )
         results.write(path)
         print(f"{name}\n\n{table_of(results, name)}\n", flush=True)
     write_pages(results, options.folder)

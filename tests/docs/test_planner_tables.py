@@ -14,7 +14,7 @@ import pytest
 from helpers.pages import DOCS
 
 from mapdata import MapGenerator, Movement, ProblemSet, evaluate
-from mapdata.evaluation import classical
+from mapdata.evaluation import BestFirst, classical
 
 OWN_PLANNER = """
 from mapdata import Plan
@@ -94,6 +94,38 @@ def test_one_command_adds_a_planner_to_the_results_and_to_the_page(
         "python docs/planner_tables.py --set maze-hard-5 --add my_module:planner",
     ]
     assert {row["run"] for row in document["rows"]} == {0, 1}
+
+
+def test_the_row_without_a_network_is_measured_alone(
+    tables: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """With --no-network no other row changes, and the file gets what the network adds to this row,
+    as `evaluate` says it; the page shows it.
+    """
+    movement = Movement(8)
+    network = BestFirst(tables.SEARCH, movement, weight=2)
+    monkeypatch.setattr(tables, "all_planners", lambda rule: [*classical(rule), network])
+    tables.main(["--folder", str(tmp_path), "--set", "maze-hard-5", "--no-network"])
+    assert list(rows_of(tmp_path).index) == [tables.NO_NETWORK]
+    document = json.loads((tmp_path / "planner_results.json").read_text())
+    (difference,) = document["differences"]
+    assert (difference["set"], difference["planner"]) == ("maze-hard-5", tables.SEARCH)
+    assert len(document["runs"]) == 1
+
+    problems = ProblemSet.sample("maze", 77, until_hard=5, movement=movement)
+    planners = [*classical(movement), network]
+    table = evaluate(planners, problems, difference_from=tables.NO_NETWORK)
+    (row,) = table[(table.subset == "hard") & (table.planner == tables.SEARCH)].to_dict("records")
+    columns = [column for column in difference if "_difference" in column]
+    assert len(columns) == 6
+    assert [difference[column] for column in columns] == pytest.approx(
+        [row[column] for column in columns], abs=1e-6
+    )
+    tables.main(["--folder", str(tmp_path), "--set", "maze-hard-5"])
+    page = (tmp_path / "planner_tables.md").read_text()
+    opt, expansions = difference["opt_difference"], difference["expansion_ratio_difference"]
+    assert f"| {opt:+.3f} [" in page
+    assert f"| {expansions:+.3f} [" in page
 
 
 QUICK_SETS = ("dungeon-hard-1000", "narrow-4-hard-300", "mazes-cut-300", "noise-4-hard-300")

@@ -47,7 +47,7 @@ def test_a_network_is_measured_beside_the_classical_planners(
     monkeypatch.setattr(tables, "TIMED", 2)
     model = PathPredictor(widths=(8, 8, 8), passes=1, terrain=True)
     results = tables.Results()
-    tables.measure(results, model)
+    tables.measure(results, tables.planners_of(model), "a command")
     results.write(tmp_path / "rows.json")
     copy = tables.Results.read(tmp_path / "rows.json")
     names = [planner.name for planner in tables.planners_of(model)]
