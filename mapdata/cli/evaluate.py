@@ -136,7 +136,8 @@ def evaluate_command(
         frames = _frames_outside_mapdata(error)
         if frames:  # It shows where in the user's own code the error was raised.
             print(frames, end="", file=sys.stderr)
-            raise ValueError(f"{type(error).__name__}: {error}") from error
+            notes = "".join(f" ({note})" for note in getattr(error, "__notes__", ()))
+            raise ValueError(f"{type(error).__name__}: {error}{notes}") from error
         if isinstance(error, TypeError):  # of what the user's code is or returned
             raise ValueError(str(error)) from error
         raise
@@ -251,7 +252,15 @@ def own_planner(reference: str, flag: str) -> Callable[[Movement], Planner]:
     def planner_for(movement: Movement) -> Planner:
         planner = named
         if makes_planner and callable(named):
-            planner = named(movement) if inspect.signature(named).parameters else named()
+            signature = inspect.signature(named)
+            try:
+                signature.bind(*[movement][: len(signature.parameters)])
+            except TypeError as error:
+                raise ValueError(
+                    f"{flag}: {reference} has the arguments {signature}, expected a planner, or a "
+                    "class or function that returns one and gets nothing or a mapdata.Movement"
+                ) from error
+            planner = named(movement) if signature.parameters else named()
         if not (hasattr(planner, "plan") and isinstance(getattr(planner, "name", None), str)):
             raise ValueError(
                 f"{flag}: {reference} is no planner: expected an object with a text 'name' and a "

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import sys
 import time
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
@@ -195,7 +196,7 @@ def evaluate(
             ``difference_from``, a ``baseline`` that expands no cell, no problem, no resample, a
             ``plan_batch`` with too few plans, a number of cells that is negative or no number, or a
             planner whose attribute ``movement`` is another `Movement` than that of the problems.
-        Exception: whatever a planner raises.
+        Exception: whatever a planner raises, with a note that names the planner and the problem.
 
     Warns:
         UserWarning: none of the paths of a planner solves its problem (the message says why the
@@ -299,7 +300,8 @@ def _check_planner(planner: Planner, movement: Movement) -> None:
     if isinstance(planner_movement, Movement) and planner_movement != movement:
         raise ValueError(
             f"planners: {planner.name} is for {planner_movement}, the problems for {movement}: "
-            "give the movement of the planner to ProblemSet.sample or MapDataset as movement="
+            "give the movement of the planner to ProblemSet.sample or MapDataset as movement=, or "
+            "to a command by --connectivity, --corner-cutting and --diagonal-cost"
         )
 
 
@@ -576,10 +578,20 @@ def _timed_plan(planner: Planner, problems: ProblemSet, k: int) -> tuple[Plan, f
     grid, terrain = _map_of(problems, k)  # copies, since a planner may write to them
     arguments = _terrain_argument(planner, terrain)
     began = time.process_time()
-    plan = planner.plan(grid, start, goal, **arguments)
+    try:
+        plan = planner.plan(grid, start, goal, **arguments)
+    except (Exception, SystemExit) as error:
+        _add_note(error, f"planner {planner.name}, problem {k}")
+        raise
     ms = 1000 * (time.process_time() - began)
     _check_plan(planner, "plan", plan)
     return plan, ms
+
+
+def _add_note(error: BaseException, note: str) -> None:
+    """Let the traceback of an error end with a note; Python 3.10 has no notes."""
+    if sys.version_info >= (3, 11):
+        error.add_note(note)
 
 
 def _timed_batch(
@@ -598,7 +610,11 @@ def _timed_batch(
     count = len(starts)
     arguments = _terrain_argument(planner, terrain)
     began = time.process_time()
-    plans = planner.plan_batch(grids, starts, goals, **arguments)
+    try:
+        plans = planner.plan_batch(grids, starts, goals, **arguments)
+    except (Exception, SystemExit) as error:
+        _add_note(error, f"plan_batch of {planner.name}, problems {first} to {first + count - 1}")
+        raise
     ms = 1000 * (time.process_time() - began)
     # A named tuple, such as one Plan or the BatchResult of search_batch, is a tuple, too.
     if not isinstance(plans, (list, tuple)) or hasattr(plans, "_fields"):

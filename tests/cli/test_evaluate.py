@@ -78,6 +78,13 @@ class FailsLate(Mine):
         return super().plan(grid, start, goal)
 
 
+class FailsOnBatches(Mine):
+    name = "fails on batches"
+
+    def plan_batch(self, grids, starts, goals):
+        raise ValueError("my batch")
+
+
 class ReportsItsCalls(Mine):
     name = "reports its calls"
     calls = 0
@@ -108,6 +115,10 @@ class Nameless(Mine):
 
 def make(movement):
     return Mine(movement)
+
+
+def plan(grid, start, goal):
+    return None
 
 
 instance = Mine(Movement(8))
@@ -335,6 +346,10 @@ def test_the_figure_is_written(module: str) -> None:
             ["dungeon", "--planner", "own_planners:ReturnsAList"],
             "lists: plan returned list, expected a mapdata.Plan(path, expansions)",
         ),
+        (
+            ["dungeon", "--planner", "own_planners:plan"],
+            "plan has the arguments (grid, start, goal)",
+        ),
         (["dungeon", "--planner", "own_planners:TakesAMap"], "TakesAMap.plan() takes 2 positional"),
         (
             [
@@ -378,4 +393,24 @@ def test_an_error_of_ones_own_code_shows_its_line(
     err = capsys.readouterr().err
     assert line in err
     assert "evaluation/metrics.py" not in err
-    assert err.endswith(f"mapdata: {last}\n")
+    assert f"mapdata: {last}" in err.splitlines()[-1]
+
+
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="Python 3.10 has no notes of errors")
+@pytest.mark.parametrize(
+    ("name", "note"),
+    [
+        ("Fails", "(planner fails, problem 0)"),
+        ("FailsLate", "(planner fails late, problem 2)"),
+        ("FailsOnBatches", "(plan_batch of fails on batches, problems 0 to 4)"),
+        ("Leaves", "(planner leaves, problem 0)"),
+    ],
+)
+def test_an_error_of_ones_own_code_names_its_planner(
+    module: str, name: str, note: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of many planners in one command, the last line says which one failed, and where."""
+    flags = ["--planner", f"{module}:Mine", "--planner", f"{module}:{name}"]
+    with pytest.raises(SystemExit):
+        main(["evaluate", "dungeon", "--maps", "5", *flags])
+    assert capsys.readouterr().err.endswith(f" {note}\n")

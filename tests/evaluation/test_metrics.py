@@ -602,7 +602,7 @@ def test_a_file_in_place_of_problems_is_refused() -> None:
 def test_a_planner_for_another_movement_is_refused() -> None:
     """Its diagonal moves would be illegal, and its row would say that it hardly ever succeeds."""
     (search,) = [planner for planner in classical(Movement(8)) if planner.name == "A*"]
-    message = r"planners: A\* is for Movement\(connectivity=8, .*, the problems for .*ty=4"
+    message = r"planners: A\* is for Movement\(connectivity=8, .*, the problems for .*ty=4.*--conn"
     with pytest.raises(ValueError, match=message):
         evaluate([search], three())
 
