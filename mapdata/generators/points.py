@@ -69,7 +69,7 @@ def with_seed_points(generator: MapGenerator, seed: int, indices: Ints, grids: B
         grids: (N, H, W) uint8, 0 free and 1 occupied.
 
     Raises:
-        ValueError: the grids do not have the size of the generator's maps.
+        ValueError: the grids do not have the size of the generator's maps, or are no integers.
     """
     maps = _maps_of_grids(generator, seed, indices, grids)
     key = np.uint64(seed)
@@ -99,7 +99,7 @@ def with_corner_points(generator: MapGenerator, seed: int, indices: Ints, grids:
         grids: (N, H, W) uint8, 0 free and 1 occupied.
 
     Raises:
-        ValueError: the grids do not have the size of the generator's maps.
+        ValueError: the grids do not have the size of the generator's maps, or are no integers.
     """
     maps = _maps_of_grids(generator, seed, indices, grids)
     rows, columns = generator.map_size
@@ -115,6 +115,8 @@ def _maps_of_grids(generator: MapGenerator, seed: int, indices: Ints, grids: Byt
         raise ValueError(
             f"grids: got shape {grids.shape}, expected {len(indices)} maps of {generator.map_size}"
         )
+    if grids.dtype.kind not in "bui":
+        raise ValueError(f"grids: got {grids.dtype}, expected uint8, 0 free and 1 occupied")
     maps = Maps.empty(generator.movement, generator.map_size, indices, generator.max_seed_points)
     maps.packed[:] = pack(grids)
     maps.split[:] = draw_splits(np.uint64(seed), indices, split_thresholds(generator.splits))

@@ -5,6 +5,7 @@ docs/format.md.
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from helpers import reference
 from helpers.examples import examples
 from hypothesis import given
@@ -12,8 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy import ndimage
 
+from mapdata import Maze
 from mapdata.arrays import Bytes
-from mapdata.generators import draw_points, largest_component
+from mapdata.generators import draw_points, largest_component, with_seed_points
 from mapdata.generators.points import count_components
 
 SETTINGS = examples(100)
@@ -61,3 +63,9 @@ def test_draws_equal_the_reference(seed: int, index: int, cells: int, data: st.D
         expected.append(left.pop(word * len(left) >> 32))
     found = draw_points(np.arange(100, 100 + cells), np.uint64(seed), np.uint64(index), count)
     assert found.tolist() == expected
+
+
+def test_grids_of_a_family_are_integers() -> None:
+    """numpy.zeros gives floats by default, and they cannot be packed into bits."""
+    with pytest.raises(ValueError, match="grids: got float64, expected uint8"):
+        with_seed_points(Maze((9, 9)), 0, np.arange(2), np.zeros((2, 9, 9)))  # type: ignore[arg-type]
