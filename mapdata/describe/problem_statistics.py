@@ -133,6 +133,8 @@ class ProblemStatistics:
         """Return what a path is worth as a target, in words: the fields that hold all answers."""
         if math.isnan(self.single_path.value):
             return "No problem of the sample has a path."
+        if self.single_path.value == 1:
+            return "All measured problems have one shortest path: it is the only right answer."
         return (
             f"{self.single_path.value:.1%} of the problems have one shortest path. Of the others, "
             "the path, and so path_mask, is one of several right answers; the fields optimal_mask "

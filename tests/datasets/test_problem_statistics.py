@@ -178,6 +178,7 @@ def test_a_start_at_its_goal_has_one_path_of_one_cell(tmp_path: Path) -> None:
     assert statistics.no_detour is not None
     assert statistics.no_detour.value == statistics.single_path.value == 1
     assert statistics.optimal_cells.value == statistics.expansions.value == 1
+    assert statistics.target_text().startswith("All measured problems have one shortest path")
     assert_true(statistics, dataset)
 
 

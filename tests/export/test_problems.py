@@ -612,7 +612,7 @@ def test_parquet_rows_are_problems(root: str, tmp_path: Path) -> None:
     counts = about(tmp_path / "out")["maps"]
     assert f"| validation | {len(dataset)} | {counts['val']} |" in card
     assert "| cells on any shortest path / path | 1.00 (1.00 to 1.00) |" in card
-    assert "100.0% of the problems have one shortest path." in card
+    assert "All measured problems have one shortest path: " in card
 
 
 def test_large_sets_are_several_files(
