@@ -96,7 +96,7 @@ def test_sizes_seed_and_identity_are_printed(printed: dict[str, str]) -> None:
         "statistics": ["DatasetStatistics(60 maps, ", manifest],
         "problems": ["ProblemSet(grids=uint8 (40, 64, 64), ", "problems by seed 77"],
         "result": ["BatchResult(cells=int64 (", "cost=float64 (40,)"],
-        "plan": ["Plan(path=int64 (", "expansions=99, prepared=0, looks=None)"],
+        "plan": ["Plan(path=int64 (", "expansions=99, prepared=0, looks=None, order=None)"],
         "foreign": ["ForeignMap('eye', 20 x 20 cells)"],
         "collection": ["Collection(1000 maps, None, 0 left out, 0 notes)"],
     }.items():

@@ -252,15 +252,16 @@ def own_planner(reference: str, flag: str) -> Callable[[Movement], Planner]:
     def planner_for(movement: Movement) -> Planner:
         planner = named
         if makes_planner and callable(named):
-            signature = inspect.signature(named)
             try:
-                signature.bind(*[movement][: len(signature.parameters)])
-            except TypeError as error:
+                signature = inspect.signature(named)
+                arguments = (movement,) if signature.parameters else ()
+                signature.bind(*arguments)
+            except (TypeError, ValueError) as error:
                 raise ValueError(
-                    f"{flag}: {reference} has the arguments {signature}, expected a planner, or a "
+                    f"{flag}: {reference} makes no planner: {error}; expected a planner, or a "
                     "class or function that returns one and gets nothing or a mapdata.Movement"
                 ) from error
-            planner = named(movement) if signature.parameters else named()
+            planner = named(*arguments)
         if not (hasattr(planner, "plan") and isinstance(getattr(planner, "name", None), str)):
             raise ValueError(
                 f"{flag}: {reference} is no planner: expected an object with a text 'name' and a "

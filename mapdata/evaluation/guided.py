@@ -156,7 +156,13 @@ class GuidedSearch(Batched):
         else:
             costs = 1 - grids
             predictions = self.predict(grids, goals)
-        scores, costs_to_go = (np.ascontiguousarray(part, np.float32) for part in predictions)
+        parts = tuple(predictions)
+        if len(parts) != 2:
+            raise ValueError(
+                f"{self.name}: predict gave {len(parts)} arrays, expected two, scores of the "
+                "moves and costs to go"
+            )
+        scores, costs_to_go = (np.ascontiguousarray(part, np.float32) for part in parts)
         # Compiled code does not check bounds: it would read past the end of smaller arrays.
         shapes = scores.shape, costs_to_go.shape
         expected = (len(grids), self.movement.connectivity, *grids.shape[1:]), grids.shape
@@ -216,8 +222,8 @@ class CostPlanner(Batched):
         """Return a plan for each problem: grids and terrain (B, H, W), starts and goals (B, 2).
 
         Raises:
-            ValueError: what `search_batch` and `terrain_from_costs` refuse, such as costs of
-                another shape than that of the grids.
+            ValueError: what `search_batch` and `terrain_from_costs` refuse; costs of another shape
+                than that of the grids.
         """
         grids, starts, goals, costs = _problems_of(grids, starts, goals, terrain)
         problems = (grids, starts, goals)
@@ -225,6 +231,11 @@ class CostPlanner(Batched):
             predicted = self.predict(*problems, terrain=costs)
         else:
             predicted = self.predict(*problems)
+        if np.shape(predicted) != grids.shape:
+            raise ValueError(
+                f"{self.name}: predict gave shape {tuple(np.shape(predicted))}, expected "
+                f"{grids.shape}"
+            )
         paths = search_batch(
             "astar", *problems, self.movement, terrain=terrain_from_costs(predicted, grids)
         )

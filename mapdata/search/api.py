@@ -824,6 +824,10 @@ def terrain_from_costs(costs: ArrayLike, grids: ArrayLike) -> Bytes:
     array([[ 64, 255,   0]], dtype=uint8)
     """
     cell_costs = np.asarray(costs)
+    if cell_costs.ndim not in (2, 3):
+        raise ValueError(
+            f"costs: got shape {cell_costs.shape}, expected (H, W) or (B, H, W), that of the grids"
+        )
     rank = 3 if cell_costs.ndim == 3 else 2
     grid_stack = as_grid(grids, rank)
     if grid_stack.max(initial=0) > 1:

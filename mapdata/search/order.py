@@ -91,7 +91,8 @@ def search_order(
 
     Raises:
         ValueError: what `bfs` and `astar` refuse; a heuristic of another shape, or with NaN or
-            another negative number than -1 on a free cell; a heuristic or weight for BFS.
+            another negative number than -1 on a free cell, or so large that ``weight * h`` is no
+            float; a heuristic or weight for BFS.
 
     >>> found = search_order([[0, 1, 0], [0, 0, 0]], (0, 0), (0, 2))
     >>> found.order
@@ -254,13 +255,28 @@ def _estimate_of_astar(cell_costs: Bytes, goal: _Cell, movement: Movement) -> _E
 
 
 def _weighted_estimate(h: Floats, weight: float) -> _Estimate:
-    """Return the estimate ``weight * h``, for h (H, W) in cells; infinite ones are left out."""
-    lists = h.tolist()
+    """Return the estimate ``weight * h``, for h (H, W) in cells; infinite ones are left out.
+
+    Raises:
+        ValueError: a finite h is so large that the estimate is no float.
+    """
+    doubled = np.full(h.shape, np.inf)
+    has_path = np.isfinite(h)
+    with np.errstate(over="ignore", invalid="ignore"):
+        doubled[has_path] = 2 * weight * h[has_path] * UNIT
+    is_too_large = has_path & ~np.isfinite(doubled)
+    if is_too_large.any():
+        cell = tuple(np.argwhere(is_too_large)[0].tolist())
+        raise ValueError(
+            f"heuristic: got {h[cell]} at {cell} and the weight {weight}, expected a smaller cost, "
+            "or infinite or -1 where no path leads to the goal"
+        )
+    lists = doubled.tolist()
 
     def estimate(cell: _Cell) -> int | None:
         row, column = cell
-        cells = lists[row][column]
-        return None if cells == math.inf else int(2 * weight * cells * UNIT)
+        units = lists[row][column]
+        return None if units == math.inf else int(units)
 
     return estimate
 
@@ -276,9 +292,14 @@ def _as_estimates(
         min_cost = int(cell_costs[rows, columns].min())
         estimates[rows, columns] = heuristics(free_cells, goal, movement, min_cost)
     elif callable(heuristic):
-        estimates[rows, columns] = [heuristic(row, column) for row, column in free_cells.tolist()]
+        values = _as_floats([heuristic(row, column) for row, column in free_cells.tolist()])
+        if values.shape != rows.shape:
+            raise ValueError(
+                f"heuristic: the function returned shape {values.shape[1:]}, expected a number"
+            )
+        estimates[rows, columns] = values
     else:
-        array = np.asarray(heuristic, np.float64)
+        array = _as_floats(heuristic)
         if array.shape != cell_costs.shape:
             raise ValueError(
                 f"heuristic: got shape {array.shape}, expected {cell_costs.shape}, that of the "
@@ -294,3 +315,17 @@ def _as_estimates(
             "free cell, infinite or -1 where no path leads to the goal"
         )
     return estimates
+
+
+def _as_floats(values: ArrayLike) -> Floats:
+    """Return the numbers of a heuristic as float64.
+
+    Raises:
+        ValueError: they are no numbers.
+    """
+    try:
+        return np.asarray(values, np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"heuristic: {error}; expected numbers (H, W), or a function that returns one"
+        ) from None

@@ -5,6 +5,8 @@ from __future__ import annotations
 import shlex
 from typing import Any
 
+from mapdata.generators import PRESETS
+
 REPAIRS = "'mapdata verify' with --repair makes it again where there is a recipe"
 """The end of error messages about a damaged or missing shard, which says what to do."""
 
@@ -52,7 +54,12 @@ class DatasetNotFoundError(FileNotFoundError):
         self.root = root
         self.why = why
         self.hint = hint
-        if "://" in str(root):
+        if str(root) in PRESETS:
+            default_hint = (
+                f"{root} is a preset: 'mapdata build data/{root} --preset {root}' stores maps of "
+                f"it in a folder, and OnlineMapDataset({str(root)!r}) serves them without one"
+            )
+        elif "://" in str(root):
             default_hint = "Make one in a folder with 'mapdata build FOLDER', and serve that folder"
         else:
             default_hint = (

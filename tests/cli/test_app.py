@@ -1008,6 +1008,14 @@ def test_a_missing_dataset_is_named_in_one_line(verb: str, run: Command, tmp_pat
     run.refused(2, f"no dataset at {tmp_path / 'file'}", verb, tmp_path / "file")
 
 
+def test_a_preset_in_place_of_a_dataset_is_named_as_such(
+    run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """'mapdata build maze15', without --preset, would build maps of another one."""
+    monkeypatch.chdir(tmp_path)
+    run.refused(2, "'mapdata build data/maze15 --preset maze15' stores maps", "show", "maze15")
+
+
 @pytest.mark.parametrize("verb", ["info", "verify", "show"])
 def test_datasets_in_subfolders_are_named(
     verb: str, run: Command, dataset: Path, tmp_path: Path

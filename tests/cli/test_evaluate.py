@@ -121,6 +121,10 @@ def plan(grid, start, goal):
     return None
 
 
+def takes_three(a, b, c):
+    return Mine(a)
+
+
 instance = Mine(Movement(8))
 number = 3
 """
@@ -339,6 +343,10 @@ def test_the_figure_is_written(module: str) -> None:
         (["dungeon", "--planner", "own_planners:Mina"], "has no 'Mina'; did you mean Mine?"),
         (["dungeon", "--planner", "own_planners:number"], "own_planners:number is no planner"),
         (
+            ["dungeon", "--planner", "own_planners:takes_three"],
+            "own_planners:takes_three makes no planner: missing a required argument: 'b'",
+        ),
+        (
             ["dungeon", "--planner", "own_planners:Nameless"],
             "expected an object with a text 'name'",
         ),
@@ -348,7 +356,7 @@ def test_the_figure_is_written(module: str) -> None:
         ),
         (
             ["dungeon", "--planner", "own_planners:plan"],
-            "plan has the arguments (grid, start, goal)",
+            "plan makes no planner: missing a required argument: 'start'",
         ),
         (["dungeon", "--planner", "own_planners:TakesAMap"], "TakesAMap.plan() takes 2 positional"),
         (

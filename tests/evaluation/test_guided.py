@@ -224,6 +224,10 @@ def test_predictions_of_another_shape_are_refused(cut: tuple[int, ...]) -> None:
     wrong = replace(model, scores=model.scores[:count, :moves, :rows, :columns])
     with pytest.raises(ValueError, match=r"predict gave shapes .* expected .*5, 8, 12, 14"):
         search_by(wrong).plan_batch(*problem_arrays)
+    scores: Any = model.scores  # and no costs to go
+    one_array = GuidedSearch("search", Movement(8), lambda grids, goals: scores)
+    with pytest.raises(ValueError, match="search: predict gave 5 arrays, expected two"):
+        one_array.plan_batch(*problem_arrays)
     wrong = replace(model, costs=model.costs[:, 1:])
     with pytest.raises(ValueError, match="search: predict gave shapes"):
         search_by(wrong).plan_batch(*problem_arrays)
@@ -400,12 +404,18 @@ def test_costs_that_see_the_terrain() -> None:
 @pytest.mark.parametrize(
     ("costs", "complaint"),
     [
-        (np.ones((1, 3, 4)), r"costs: got shape \(1, 3, 4\), expected \(1, 3, 3\)"),
+        (np.ones((1, 3, 4)), r"planner: predict gave shape \(1, 3, 4\), expected \(1, 3, 3\)"),
+        (
+            torch.ones(1, 1, 3, 3),
+            r"planner: predict gave shape \(1, 1, 3, 3\), expected \(1, 3, 3\)",
+        ),
+        (np.ones((3, 3)), r"planner: predict gave shape \(3, 3\), expected \(1, 3, 3\)"),
+        (None, r"planner: predict gave shape \(\), expected \(1, 3, 3\)"),
         (np.full((1, 3, 3), np.nan), "expected a finite number of at least 0"),
     ],
 )
-def test_costs_that_are_none_are_refused(costs: Floats, complaint: str) -> None:
-    """Of another shape, and NaN on a free cell."""
-    planner = CostPlanner("costs", Movement(8), lambda grids, starts, goals: costs)
+def test_costs_that_are_none_are_refused(costs: Any, complaint: str) -> None:
+    """Of another shape, such as those of a network with one channel, and NaN on a free cell."""
+    planner = CostPlanner("planner", Movement(8), lambda grids, starts, goals: costs)
     with pytest.raises(ValueError, match=complaint):
         planner.plan(np.zeros((3, 3), np.uint8), (0, 0), (2, 2))

@@ -445,7 +445,7 @@ HOSTILE_MAPS = {
     "corners": ("type octile-corner\nheight 1\nwidth 1\nmap\n", "is of type octile-corner, whose"),
     "raw": ("type raw\nheight 1\nwidth 1\nmap\n0\n", "is of type raw, whose map gives numbers"),
     "empty": ("", "no line 'map'"),
-    "nul": ("type octile\0", "not a text file"),
+    "nul": ("type octile\0", "not text in UTF-8"),
     "no map": (MAP.replace("map\n", ""), "line 4 is '..G@WW', expected type"),
     "no size": (MAP.replace("width 6\n", ""), "height 4 and width 0"),
     "huge": (MAP.replace("width 6", "width 999999999"), "expected 1 to 16777216 cells"),

@@ -863,6 +863,11 @@ def test_terrain_of_tiny_and_huge_costs_is_rounded_as_fractions_are(
         ([[math.inf, 1.0]], r"costs: got inf at \(0, 0\), expected"),
         ([[1.0, 1j]], "costs: got dtype complex128, expected numbers"),
         ([[1.0, 1.0, 1.0]], r"costs: got shape \(1, 3\), expected \(1, 2\)"),
+        (
+            np.ones((1, 1, 1, 2)),
+            r"costs: got shape \(1, 1, 1, 2\), expected \(H, W\) or \(B, H, W\)",
+        ),
+        (None, r"costs: got shape \(\), expected"),
     ],
 )
 def test_costs_that_are_none_are_refused(costs: Any, message: str) -> None:
