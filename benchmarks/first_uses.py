@@ -32,7 +32,7 @@ USES: dict[str, str] = {
     "build(sys.argv[1], MapSpec(), maps=100, workers=1)",
     "batch of the default problems": LOADER + "batch()",
     "batch of random problems": LOADER + "batch(problems='random')",
-    "batch of README's hard problems": LOADER
+    "batch of hard problems and masks": LOADER
     + "batch(problems=Random(hardness=(1.05, None)), movement=Movement(8), "
     "fields=('map', 'start_mask', 'goal_mask', 'optimal_mask'))",
     "batch with optimal_moves": LOADER + "batch(fields=('map', 'optimal_moves'))",

@@ -518,8 +518,8 @@ def reader_rows(
     return rows
 
 
-def readme_rows(folder: Path, rounds: int) -> list[Row]:
-    """Return the rows of README's own loop, beside stored copies of what it serves.
+def hard_rows(folder: Path, rounds: int) -> list[Row]:
+    """Return the rows of a loop over hard problems with masks, beside copies of what it serves.
 
     The loop draws its problems and computes its fields anew in each epoch. The others read problems
     that were served once, from RAM by `torch.index_select` and from a file by `numpy.memmap`, in
@@ -556,7 +556,7 @@ def readme_rows(folder: Path, rounds: int) -> list[Row]:
                 torch.from_numpy(file[chosen.numpy()])
 
     times = interleaved({"loop": lambda: drain(loader), "RAM": from_ram, "file": from_file}, rounds)
-    work = "README's loop: hard problems anew, float32, batch 64"
+    work = "hard problems and masks anew, float32, batches of 64"
     ours = rate(times["loop"], samples)
     return [
         Row(
@@ -821,7 +821,7 @@ def table(quick: bool, parent: str | None = None) -> str:
         )
         folder = Path(name) / "10k"
         folder.mkdir()
-        rows = readme_rows(folder, rounds)
+        rows = hard_rows(folder, rounds)
         rows += reader_rows(folder, 10_000, rounds, ram_target="", only_ram=False)
         rows += field_rows(folder, rounds)
         rows += band_rows(folder, rounds)
