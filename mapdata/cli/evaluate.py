@@ -134,12 +134,13 @@ def evaluate_command(
         if not own:
             raise
         frames = _frames_outside_mapdata(error)
+        notes = "".join(f" ({note})" for note in getattr(error, "__notes__", ()))
         if frames:  # It shows where in the user's own code the error was raised.
             print(frames, end="", file=sys.stderr)
-            notes = "".join(f" ({note})" for note in getattr(error, "__notes__", ()))
             raise ValueError(f"{type(error).__name__}: {error}{notes}") from error
-        if isinstance(error, TypeError):  # of what the user's code is or returned
-            raise ValueError(str(error)) from error
+        # A TypeError is of what the user's code is or returned, and a note names the planner.
+        if isinstance(error, TypeError) or notes:
+            raise ValueError(f"{error}{notes}") from error
         raise
     if not full:
         print(f"\n--full shows {len(others) - len(shown)} more classical planners, and all columns")

@@ -45,10 +45,20 @@ def plot_search(
         axes: where to draw; default a new figure, with a colour bar.
         last: number of the expansion at which the colours end; default that of the last cell. To
             compare searches, pass the number of the longest one.
+
+    Raises:
+        ValueError: ``order`` is no array of the shape of the grid.
     """
+    is_tuple = isinstance(order, tuple)  # such as all that `search_order` returned
+    numbers = np.asarray(() if is_tuple else order)
+    if is_tuple or numbers.shape != np.shape(grid):
+        got = type(order).__name__ if is_tuple else f"shape {numbers.shape}"
+        raise ValueError(
+            f"order: got {got}, expected {np.shape(grid)}, as in plot_search(grid, found.order, "
+            "found.path) for found = search_order(...)"
+        )
     is_new = axes is None
     axes = axes or new_axes()[0]
-    numbers = np.asarray(order)
     plot_grid(grid, axes)
     image = axes.imshow(
         np.ma.masked_less(numbers, 0),

@@ -25,6 +25,7 @@ import sys
 import numpy as np
 
 from mapdata import Movement, Plan, astar
+from mapdata.evaluation import CostPlanner
 
 
 class Mine:
@@ -123,6 +124,10 @@ def plan(grid, start, goal):
 
 def takes_three(a, b, c):
     return Mine(a)
+
+
+def diverged(movement):
+    return CostPlanner("diverged", movement, lambda grids, *_: np.full(grids.shape, np.nan))
 
 
 instance = Mine(Movement(8))
@@ -412,6 +417,7 @@ def test_an_error_of_ones_own_code_shows_its_line(
         ("FailsLate", "(planner fails late, problem 2)"),
         ("FailsOnBatches", "(plan_batch of fails on batches, problems 0 to 4)"),
         ("Leaves", "(planner leaves, problem 0)"),
+        ("diverged", "(planner diverged, problem 0)"),
     ],
 )
 def test_an_error_of_ones_own_code_names_its_planner(

@@ -45,6 +45,15 @@ def test_one_end_of_the_colours_compares_two_searches() -> None:
     assert axes.images[-1].get_clim() == (0, 99)
 
 
+def test_what_is_no_order_of_the_map_is_refused() -> None:
+    """The result of a search as a whole, and an order on another map."""
+    found = search_order([[0, 0, 0]], (0, 0), (0, 2))
+    with pytest.raises(ValueError, match=r"order: got SearchOrder, expected \(1, 3\), as in plot_"):
+        plot_search([[0, 0, 0]], found)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"order: got shape \(1, 3\), expected \(1, 2\)"):
+        plot_search([[0, 0]], found.order)
+
+
 def test_both_searches_are_those_of_the_labels(labels: Labels) -> None:
     """They show the segment for which A* expands most cells, with the stored numbers."""
     axes = plot_both_searches(labels, 1)
