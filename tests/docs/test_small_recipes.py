@@ -10,7 +10,8 @@ import pytest
 from helpers import pages
 from helpers.pages import DOCS
 from helpers.specs import MOVEMENTS
-from pytorch_lightning import LightningModule, Trainer
+from helpers.training import trainer
+from pytorch_lightning import LightningModule
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from torch import Tensor, nn, optim
@@ -43,6 +44,9 @@ def test_paths_in_the_graph_of_a_map_cost_what_they_cost_on_the_map(movement: Mo
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings(
+    "ignore:The '.*dataloader' does not have many workers", "ignore:.*LeafSpec"
+)
 def test_the_curriculum_makes_training_problems_harder(tmp_path: Path) -> None:
     """In each epoch the least hardness is at least what the callback says."""
     least: dict[int, list[float]] = {}
@@ -57,6 +61,9 @@ def test_the_curriculum_makes_training_problems_harder(tmp_path: Path) -> None:
             loss: Tensor = self.layer(batch.hardness[:, None]).mean()
             return loss
 
+        def validation_step(self, batch: Sample) -> None:
+            """Look at nothing: Lightning warns without it."""
+
         def configure_optimizers(self) -> optim.Optimizer:
             return optim.SGD(self.parameters(), 0.1)
 
@@ -69,18 +76,8 @@ def test_the_curriculum_makes_training_problems_harder(tmp_path: Path) -> None:
         movement=Movement(8),
         batch_size=16,
     )
-    trainer = Trainer(
-        max_epochs=3,
-        reload_dataloaders_every_n_epochs=1,
-        callbacks=[curriculum()],
-        accelerator="cpu",
-        logger=False,
-        enable_checkpointing=False,
-        enable_progress_bar=False,
-        enable_model_summary=False,
-        limit_val_batches=0,
-    )
-    trainer.fit(Model(), data)
+    training = trainer(max_epochs=3, reload_dataloaders_every_n_epochs=1, callbacks=[curriculum()])
+    training.fit(Model(), data)
     found = [min(least[epoch]) for epoch in range(3)]
     assert found[0] < 1.05 <= found[1] < 1.3
     assert found[2] >= 1.1
