@@ -677,7 +677,7 @@ def searches() -> Figure:
     for ax, (name, heuristic) in zip(axes, heuristics.items(), strict=True):
         found = search_order(grid, start, goal, movement, heuristic=heuristic)
         plot_search(grid, found.order, found.path, ax)
-        ax.set_title(f"{name}: {found.iterations:,} cells")
+        ax.set_title(f"{name}: {found.iterations:,} expansions")
     return figure
 
 

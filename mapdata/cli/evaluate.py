@@ -209,7 +209,9 @@ def _outcome(row: Mapping[Any, Any]) -> str:
         )
     if missing:
         parts.append(f"no path for {missing} of {count} problems")
-    return "; ".join(parts) or f"all {count} problems solved"
+    if parts:
+        return "; ".join(parts)
+    return "its only problem solved" if count == 1 else f"all {count} problems solved"
 
 
 def _frames_outside_mapdata(error: BaseException) -> str:

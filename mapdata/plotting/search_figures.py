@@ -71,7 +71,7 @@ def plot_search(
     if len(cells):
         plot_cells(axes, cells, COLOURS["bfs"], "path")
         plot_ends(cells[0], cells[-1], axes)
-    axes.set_title(f"{(numbers >= 0).sum():,} expanded cells")
+    axes.set_title(f"{(numbers >= 0).sum():,} expansions")
     if is_new:
         figure: Any = axes.figure  # matplotlib's type hints also allow None here
         figure.colorbar(image, ax=axes, label=_ORDER_LABEL, shrink=0.8)

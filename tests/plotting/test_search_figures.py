@@ -34,7 +34,7 @@ def test_expanded_cells_are_coloured_by_their_order() -> None:
     np.testing.assert_array_equal(np.ma.filled(shown, -1), found.order)
     assert axes.images[-1].get_clim() == (0, 4)
     np.testing.assert_array_equal(drawn(axes, COLOURS["bfs"])[0], found.path)
-    assert axes.get_title() == "5 expanded cells"
+    assert axes.get_title() == "5 expansions"
     assert_tidy(figure_of(axes))
 
 
