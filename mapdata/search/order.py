@@ -1,8 +1,8 @@
 """The order in which a search expands the cells of a map: to draw it, teach it and learn from it.
 
 The searches behind `bfs` and `astar` are compiled and record nothing, so that they are fast. Here
-they are written once more, in plain Python that a student can read and change. This takes some
-thirty times as long. Tests compare the two.
+they are written once more, in plain Python that a student can read and change. This takes 60 to
+100 times as long: about 1 ms on a map of 64 x 64 cells. Tests compare the two.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def search_order(
 ) -> SearchOrder:
     """Search a path, and return the order in which the search expanded the cells of the map.
 
-    Path, cost and iterations are those of `bfs` or `astar`, which are some thirty times as fast.
+    Path, cost and iterations are those of `bfs` or `astar`, which are 60 to 100 times as fast.
     With a heuristic or weight of your own, A* expands the cell of the smallest ``g + weight * h``,
     of equal ones the most recently pushed one, and no cell twice. Then its path is a shortest one
     if ``weight * h`` is consistent, and may be longer if not.
