@@ -72,6 +72,7 @@ from mapdata.plotting import (  # noqa: E402
     plot_search,
     report,
 )
+from mapdata.plotting.search_figures import plot_both_searches  # noqa: E402
 from mapdata.problems import ProblemSet  # noqa: E402
 from mapdata.shards import Root  # noqa: E402
 
@@ -664,6 +665,15 @@ def costs() -> Figure:
     return figure
 
 
+def search() -> Figure:
+    """Draw BFS and A* on map 7 of the tutorial's dataset, as its command does."""
+    labels = label(generate(MapSpec.preset("dungeon"), 0, [7]))
+    figure = plot_both_searches(labels, 0)[0].figure
+    assert isinstance(figure, Figure)
+    figure.set_size_inches(8.4, 4.2)
+    return figure
+
+
 def searches() -> Figure:
     """Draw what three heuristics expand: the last picture of docs/howto/teach.md."""
     movement = Movement(connectivity=4)
@@ -704,6 +714,7 @@ FIGURES: dict[str, Callable[..., Figure]] = {
     "roadmaps": roadmaps,
     "images": images,
     "costs": costs,
+    "search": search,
     "searches": searches,
 }
 NAMES = [*FIGURES, "report"]

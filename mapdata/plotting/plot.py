@@ -134,7 +134,7 @@ def plot_map(
             label = "_"  # matplotlib omits it from the legend, where a search has one line
     _plot_seed_points(axes, labels, i)
     state = "all connected" if labels.all_connected[i] else "not all connected"
-    put_header(axes, f"map{maps.index[i]}: {maps.rooms[i]} {_seed_noun(labels, i)}s, {state}")
+    put_header(axes, f"map{maps.index[i]}: {maps.rooms[i]} {seed_noun(labels, i)}s, {state}")
     return axes
 
 
@@ -231,7 +231,7 @@ def plot_matrix(labels: Labels, i: int, search: str = "astar", axes: Axes | None
                 va="center",
                 fontsize=9 if rooms <= 10 else 6,
             )
-    noun = _seed_noun(labels, i)
+    noun = seed_noun(labels, i)
     axes.set(xlabel=noun, ylabel=noun)
     name = "BFS and A*" if matrices_are_equal(labels, i) else NAMES[search]
     axes.set_title(f"map{labels.maps.index[i]}: connection matrix by {name}")
@@ -370,7 +370,7 @@ def _put_legend_below(axes: Axes, handles: Sequence[Artist] | None = None, ncols
     )
 
 
-def _seed_noun(labels: Labels, i: int) -> str:
+def seed_noun(labels: Labels, i: int) -> str:
     """Return "room" if the seed points of map ``i`` are rooms, else "seed point"."""
     maps = labels.maps
     has_rooms = maps.passage_width[i] >= 0 or (maps.sizes[i] >= 0).any()

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mapdata.plotting.plot import COLOURS, NAMES, new_axes, plot_cells, plot_ends, plot_grid
+from mapdata.plotting.plot import (
+    COLOURS,
+    NAMES,
+    new_axes,
+    plot_cells,
+    plot_ends,
+    plot_grid,
+    seed_noun,
+)
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
 from mapdata.search.order import SearchOrder, search_order
@@ -150,7 +158,7 @@ def _plot_searches(labels: Labels, i: int, segment: int, searched: list[SearchOr
         ax.set_title(_count(search, found.iterations))
     figure: Any = axes[0].figure
     figure.colorbar(axes[0].images[-1], ax=axes, label=_ORDER_LABEL, shrink=0.8)
-    ends = f"seed points {segment + 1} to {segment + 2}"
+    ends = f"{seed_noun(labels, i)}s {segment + 1} to {segment + 2}"
     figure.suptitle(f"map{maps.index[i]}, {ends}", fontsize="large")
     return axes
 
