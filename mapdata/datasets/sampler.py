@@ -213,7 +213,7 @@ class EpochSampler(DistributedSampler[Any]):
         epoch = check_count("epoch", state["epoch"], minimum=0)
         batches_done = check_count("batches_done", state["batches_done"], minimum=0)
         changes = {
-            name: f"{name} was {state[name]} and is {value}"
+            name: _change(name, state[name], value)
             for name, value in order.items()
             if name in state and state[name] != value
         }
@@ -291,6 +291,19 @@ class EpochSampler(DistributedSampler[Any]):
         full_batches, remainder = divmod(len(self), self.batch_size)
         has_partial_batch = remainder > 0 and not self.drop_last
         return full_batches + has_partial_batch
+
+
+def _change(name: str, saved: object, here: object) -> str:
+    """Return in words how an entry of a state differs from that of this loader."""
+    if name != "problems_text":
+        return f"{name} was {saved} and is {here}"
+    # These texts have several parts, of which usually one differs.
+    saved_parts, here_parts = str(saved).split("; "), str(here).split("; ")
+    gone = "; ".join(part for part in saved_parts if part not in here_parts)
+    new = "; ".join(part for part in here_parts if part not in saved_parts)
+    saved_with = f"with {gone}" if gone else "without it"
+    here_with = f"with {new}" if new else "without it"
+    return f"saved {saved_with}, here {here_with}"
 
 
 @kernel

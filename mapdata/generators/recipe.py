@@ -16,6 +16,7 @@ from mapdata.arrays import Array, Flags, Ints
 from mapdata.checks import check_choice, check_count, check_seed, did_you_mean
 from mapdata.generators.generator import (
     PRESETS,
+    SHARED_PARAMETERS,
     MapGenerator,
     check_declared,
     check_plain,
@@ -205,6 +206,11 @@ def _from_json(source: str, text: str | bytes) -> Recipe:
 def _from_mapping(values: Mapping[str, Any]) -> Recipe:
     """Return the recipe that plain values state, as JSON and configurations hold them."""
     for key in values:
+        if key in SHARED_PARAMETERS:
+            raise ValueError(
+                f"recipe: got {key!r}, a parameter of the generator: write it into spec, as in "
+                f'{{"spec": {{"generator": "cave", "{key}": ...}}}}'
+            )
         check_choice("recipe", key, _KEYS)
     version = values.get("format_version", 1)
     if version not in FORMAT_VERSIONS:

@@ -162,7 +162,7 @@ def _plot_problem(
             axes.imshow(greys, "gray", vmin=0, vmax=1, interpolation="nearest")
     title_parts = []
     if "path" in fields:
-        path = _without_padding(fields["path"])
+        path = _without_padding(fields["path"], "path")
         plot_cells(axes, path, COLOURS["astar"], "path")
         title_parts.append(f"{len(path)} cells" if len(path) else "no path")
     if "waypoints" in fields and (fields["waypoints"] >= 0).all():
@@ -202,15 +202,18 @@ def plot_prediction(
         axes: where to draw; default a new figure.
         scores: (H, W), scores of the model for each cell, drawn as a shade; high is dark.
         movement: what a diagonal move costs.
+
+    Raises:
+        ValueError: ``predicted`` or ``truth`` has another shape.
     """
     grid = np.asarray(occupancy)
     axes = plot_grid(grid, axes)
     if scores is not None:
         axes.imshow(scores, cmap="Purples", alpha=0.6 * (grid == 0), interpolation="nearest")
-    path = _without_padding(predicted)
+    path = _without_padding(predicted, "predicted")
     shortest = path[:0]
     if truth is not None:
-        shortest = _without_padding(truth)
+        shortest = _without_padding(truth, "truth")
         label = _path_label("shortest", shortest, movement)
         plot_cells(axes, shortest, COLOURS["astar"], label, lane=-1)
     # Beside a shortest path, the predicted one is moved aside, so that both can be seen.
@@ -290,8 +293,19 @@ def _path_label(name: str, path: Ints, movement: Movement) -> str:
     return f"{name}, cost {cost:.5g}"
 
 
-def _without_padding(path: ArrayLike) -> Ints:
-    """Return the cells of a path, (k, 2), without the rows of -1 at its end."""
-    cells = np.asarray(path, np.int64).reshape(-1, 2)
+def _without_padding(path: ArrayLike, name: str) -> Ints:
+    """Return the cells of a path, (k, 2), without the rows of -1 at its end.
+
+    Raises:
+        ValueError: another shape; the message begins with ``name``.
+    """
+    cells = np.asarray(path, np.int64)
+    if cells.size == 0:
+        return np.empty((0, 2), np.int64)
+    if cells.ndim != 2 or cells.shape[1] != 2:
+        raise ValueError(
+            f"{name}: got shape {cells.shape}, expected the cells (k, 2) of one path, such as "
+            "path(k) of the result of search_batch"
+        )
     is_padding = (cells == -1).all(axis=1)
     return np.asarray(cells[~is_padding])

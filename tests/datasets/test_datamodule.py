@@ -689,6 +689,27 @@ def test_a_state_of_other_problems_is_refused(root: str, changes: dict[str, Any]
         other.load_state_dict(loader.state_dict())
 
 
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"movement": Movement(8)}, r"saved with 4-connected: [^;]*, here with 8-connected: [^;]*"),
+        ({"radius": 0.01}, "saved without it, here with radius 0.01 m"),
+        ({"problems": "pairs"}, r"problems was .*, saved with random; sampling_seed 0, here .*"),
+    ],
+    ids=["movement", "radius", "source"],
+)
+def test_the_error_of_other_problems_names_what_differs_alone(
+    root: str, changes: dict[str, Any], text: str
+) -> None:
+    """What both have in common, such as the split and the maps, is left out."""
+    loader: Any = module(root, problems="random").train_dataloader()
+    next(iter(loader))
+    other: Any = module(root, **{"problems": "random", **changes}).train_dataloader()
+    with pytest.raises(ValueError, match=rf"of other problems \({text}\), expected") as error:
+        other.load_state_dict(loader.state_dict())
+    assert "split train" not in str(error.value)
+
+
 def test_a_trainer_takes_other_problems_from_the_end_of_an_epoch(root: str, tmp_path: Path) -> None:
     """For instance harder ones; in the middle of an epoch they are refused."""
     every = ModelCheckpoint(tmp_path, "{step}", every_n_train_steps=3, save_top_k=-1)

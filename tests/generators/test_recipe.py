@@ -157,6 +157,7 @@ def test_build_compares_the_content_hash(tmp_path: Path) -> None:
         (Path(), r"recipe: .: is a folder, expected a recipe as JSON"),
         ("{", r"recipe: not JSON"),
         ({"spec": "mazes"}, r"preset: got 'mazes', .*; did you mean maze\?"),
+        ({"splits": [0.6, 0.2, 0.2]}, r"recipe: got 'splits', .* parameter .*: write it into spec"),
         ({"content_hash": 3}, r"content_hash: got 3, expected a SHA-256 in hexadecimal digits"),
     ],
 )

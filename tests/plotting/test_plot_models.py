@@ -237,6 +237,16 @@ def test_a_prediction_is_drawn_without_a_shortest_path() -> None:
     assert legend_of(axes) == ["predicted, cost 2"]
 
 
+@pytest.mark.parametrize("path", [[0, 4, 7, 9], [[[0, 1], [0, 2]]], [[0, 1, 2]], 7])
+def test_a_prediction_that_is_no_path_is_refused(path: Any) -> None:
+    """Such as the offsets of a batch, four of which would be drawn as a path of two cells."""
+    grid = np.zeros((6, 8), np.uint8)
+    with pytest.raises(ValueError, match=r"predicted: got shape .*, expected the cells \(k, 2\)"):
+        plot_prediction(grid, path)
+    with pytest.raises(ValueError, match="truth: got shape "):
+        plot_prediction(grid, [[0, 1]], path)
+
+
 def test_roadmap_shows_samples_edges_and_path() -> None:
     """Vertices, edges and the path are drawn at their points."""
     grid = np.zeros((6, 8), np.uint8)
