@@ -6,6 +6,7 @@ What predicts is a function of the caller, mostly one that asks a network (docs/
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -149,6 +150,9 @@ class GuidedSearch(Batched):
         Raises:
             ValueError: what `search_batch` refuses; predictions of other shapes than ``predict``
                 should have.
+
+        Warns:
+            UserWarning: all scores are NaN. There is a path, even so.
         """
         grids, starts, goals, costs = _problems_of(grids, starts, goals, terrain)
         if costs is not None and self.takes_terrain:
@@ -168,6 +172,12 @@ class GuidedSearch(Batched):
         expected = (len(grids), self.movement.connectivity, *grids.shape[1:]), grids.shape
         if shapes != expected:
             raise ValueError(f"{self.name}: predict gave shapes {shapes}, expected {expected}")
+        if np.isnan(scores).all():
+            warnings.warn(
+                f"{self.name}: all scores that predict gave are NaN, as those of a network whose "
+                "training diverged",
+                stacklevel=2,
+            )
         moves = STEPS[: self.movement.connectivity]
         side = sum(grids.shape[1:]) / 2
         mean_costs = costs.mean(axis=(1, 2), where=costs > 0)  # (B,)

@@ -233,6 +233,7 @@ def test_predictions_of_another_shape_are_refused(cut: tuple[int, ...]) -> None:
         search_by(wrong).plan_batch(*problem_arrays)
 
 
+@pytest.mark.filterwarnings("ignore:.*all scores that predict gave are NaN")
 @pytest.mark.parametrize("share", [0.3, 1.0])
 @pytest.mark.parametrize("number", [-np.inf, np.inf, np.nan])
 def test_there_is_a_path_whatever_is_predicted(number: float, share: float) -> None:
@@ -248,6 +249,15 @@ def test_there_is_a_path_whatever_is_predicted(number: float, share: float) -> N
             check_path(problems.grids[k], plan.path, problems.movement)
             assert plan.path[0].tolist() == problems.starts[k].tolist()
             assert plan.path[-1].tolist() == problems.goals[k].tolist()
+
+
+def test_a_network_that_diverged_is_named() -> None:
+    """Its scores are all NaN, and its row would pass for one of a network that learnt nothing."""
+    problems = ProblemSet.sample(Forest((12, 14)), 1, 2, movement=Movement(8))
+    model = random_predictor(problems, 3)
+    model.scores.fill(np.nan)
+    with pytest.warns(UserWarning, match="search: all scores that predict gave are NaN"):
+        search_by(model).plan_batch(problems.grids, problems.starts, problems.goals)
 
 
 @pytest.mark.parametrize("trust", [-0.1, math.nan, "x"])
