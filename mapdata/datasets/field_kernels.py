@@ -162,6 +162,8 @@ def fill_goal_fields(
 ) -> tuple[Int, Int]:
     """Fill those of the fields that are not empty, by one search from the goal of each problem.
 
+    On grids with diagonal moves, `fill_goal_fields_by_jumps` does the same in half the time.
+
     Args:
         maps: (B, H, W) grids or terrain.
         cell_costs: as from `as_ground`.
@@ -256,7 +258,8 @@ def _write_moves_by_cost(costs: Ints, lattice: Lattice, optimal_moves: Bytes) ->
             east = costs[cell + _ONE]
             south = costs[cell + stride]
             west = costs[cell - _ONE]
-            # A free neighbour of a cell with a path has a path, too.
+            # This copy of the corner rule of `is_legal` has no branches, and sees from the costs
+            # which cells are free: a free neighbour of a cell with a path has a path, too.
             north_free = may_cut | (north < INFINITY)
             east_free = may_cut | (east < INFINITY)
             south_free = may_cut | (south < INFINITY)

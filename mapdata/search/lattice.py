@@ -18,11 +18,13 @@ get it from Python (`mapdata.search.kernels.search_memory`). A kernel for one pr
 `lattice_of`, because passing it takes as long as a part of a short search. All kernels below these
 take the lattice alone.
 
-The legal moves, the heuristic and hardness are defined here. The corner rule is written six more
-times, and each copy states its reason: `flood`, `first_bad_cell` and `shortest_costs` in
-kernels.py; the diagonal scan in jump_points.py; on tensors, `legal_moves` in models/geometry.py;
-and predicted_moves.py, whose search works on rows and columns so that it can be read without this
-module. Tests hold all seven together.
+The legal moves, the heuristic and hardness are defined here. The corner rule is written again where
+a loop needs it in another form, and each copy states its reason: `flood`, `first_bad_cell`,
+`best_first_buckets` and `shortest_costs` in kernels.py; `shortest_terrain_costs` in terrain.py; the
+diagonal scan and the table of kept moves in jump_points.py; the moves by costs in
+datasets/field_kernels.py; on tensors, `legal_moves` in models/geometry.py; and order.py and
+predicted_moves.py, whose searches work on rows and columns so that they can be read without this
+module. Tests compare all of them with the slow reference.
 """
 
 from __future__ import annotations
