@@ -234,7 +234,7 @@ def fill_goal_fields_by_jumps(
             _write_goal_costs(b, goal_cell, None, lattice, scratch, cost_to_go, heuristic_ratio)
         if len(optimal_mask):
             optimal_mask[b] = 0
-            if scratch.g[start] < INFINITY or start == goal:
+            if scratch.g[start] < INFINITY:  # Without a path the mask is 0 everywhere.
                 load(maps[b], scratch.came_from)
                 _mark_cells_by_cost(start, scratch, lattice, optimal_mask[b, 0])
     return len(maps), EXACT
