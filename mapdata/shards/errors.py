@@ -10,6 +10,12 @@ from mapdata.generators import PRESETS
 REPAIRS = "'mapdata verify' with --repair makes it again where there is a recipe"
 """The end of error messages about a damaged or missing shard, which says what to do."""
 
+NOT_AS_WRITTEN = (
+    "damaged, or written by another HDF5 program, whose files h5py reads and mapdata does not; "
+    f"{REPAIRS}"
+)
+"""The end of error messages about the bytes of a file that are not those of a shard."""
+
 LINK_REMEDY = (
     "'cp -rL FOLDER COPY' makes a copy without links; --follow-links (follow_links=True) reads the "
     "links of a folder of your own"

@@ -1,6 +1,7 @@
 """Opening shards from untrusted files: everything is checked once, then arrays view the file.
 
 A file is read through one memory mapping and without an HDF5 library, by the patterns of `hdf5.py`.
+Only if no manifest states its hash, h5py compares the checksums of its metadata after that.
 """
 
 from __future__ import annotations
@@ -31,11 +32,10 @@ from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
 from mapdata.shards.arrays import Shard, bits_per_move, decode
 from mapdata.shards.content import content_hash
-from mapdata.shards.errors import REPAIRS, UNSOUND, ShardError
+from mapdata.shards.errors import NOT_AS_WRITTEN, REPAIRS, UNSOUND, ShardError
 from mapdata.shards.files import StrPath
-from mapdata.shards.hdf5 import check_metadata
 from mapdata.shards.header import Header, check_version, is_shard_name
-from mapdata.shards.image import foreign_file_message, is_as_written, is_undamaged, read_image
+from mapdata.shards.image import check_metadata, read_image
 
 
 def read_shard(path: StrPath) -> Labels:
@@ -76,9 +76,11 @@ def open_shard(path: StrPath, size: int | None = None, sha256: str | None = None
         )
     if sha256 is None:
         try:
-            check_metadata(mapped.image.data, shard.arrays)
-        except ValueError as error:
-            raise ShardError(f"{shard.path}: not a sound shard ({error}); {REPAIRS}") from None
+            check_metadata(mapped.image.data)
+        except (OSError, RuntimeError, *UNSOUND) as error:
+            raise ShardError(
+                f"{shard.path}: not a sound shard ({error}): {NOT_AS_WRITTEN}"
+            ) from None
     elif not has_hash(mapped.image, mapped.status, sha256):
         sound_labels(shard)
     return shard
@@ -114,7 +116,9 @@ def map_shard(path: StrPath, size: int | None = None) -> MappedShard:
         image = map_file(file.fileno(), status.st_size)
     if size is not None and status.st_size != size:
         reason = f"has {status.st_size} bytes, the manifest says {size}"
-        raise ShardError(f"{path}: {_wrong_size_message(image.data, reason)}")
+        raise ShardError(
+            f"{path}: {reason}: damaged, or not the file that the manifest lists; {REPAIRS}"
+        )
     try:
         attributes, arrays = read_image(image.data)
         header, stated_hash = _parse_header(attributes)
@@ -126,20 +130,8 @@ def map_shard(path: StrPath, size: int | None = None) -> MappedShard:
             f"{path}: attribute {error} is missing, or neither text of fixed length nor numbers"
         ) from None
     except UNSOUND as error:
-        raise ShardError(f"{path}: not a sound shard ({error})") from error
+        raise ShardError(f"{path}: not a sound shard ({error}): {NOT_AS_WRITTEN}") from error
     return MappedShard(Shard(path, header, stated_hash, arrays), image, status)
-
-
-def _wrong_size_message(image: memoryview, reason: str) -> str:
-    """Return the error message for a file whose size is not that in the manifest.
-
-    ``reason`` states both sizes.
-    """
-    if not is_undamaged(image):
-        return f"{reason}: damaged; {REPAIRS}"
-    if not is_as_written(image):
-        return foreign_file_message(image, reason)
-    return f"{reason}: not the shard that the manifest lists; {REPAIRS}"
 
 
 class _HashedFile(NamedTuple):

@@ -262,7 +262,7 @@ def test_damage_that_only_h5py_reads_is_named_without_a_manifest(
     before = stamps(copied)
     (copied / MANIFEST).unlink()
     assert list(named(copied)) == [MANIFEST, path.name]
-    assert "checksum does not fit" in verify(copied)[1]
+    assert "incorrect metadata checksum" in verify(copied)[1]
     assert repair(copied) == []
     assert images(copied) == images(finished)
     assert [name for name, stamp in stamps(copied).items() if stamp != before[name]] == [path.name]
@@ -572,7 +572,7 @@ def test_imported_maps_with_an_attribute_more_are_written_anew(imported: Path) -
     with h5py.File(path, "r+") as file:
         file.attrs["by"] = "somebody"
     (line,) = verify(imported)
-    assert line.startswith(f"{path}: written by another HDF5 program (has ")
+    assert line.startswith(f"{path}: has ")
     assert repair(imported) == []
     assert images(imported) == before
 
@@ -584,10 +584,9 @@ def test_imported_maps_of_another_program_must_be_imported_again(imported: Path)
         file["maps"].attrs["by"] = "somebody"
     for _ in range(2):
         (line,) = repair(imported)
-        assert line.startswith(f"{path}: written by another HDF5 program (")
+        assert line.startswith(f"{path}: ")
         assert line.endswith(
-            "h5py can still read this file; it cannot be made again, imported maps have no recipe: "
-            "delete it and import again"
+            "it cannot be made again, imported maps have no recipe: delete it and import again"
         )
         (imported / MANIFEST).unlink()
 

@@ -138,7 +138,7 @@ def test_a_shard_under_the_name_of_another_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_header_of_imported_maps_is_not_read_from_damaged_bytes(tmp_path: Path) -> None:
-    """Neither a spec nor the content hash covers their resolution, but a checksum does."""
+    """Neither a spec nor the content hash covers their resolution, but a checksum of HDF5 does."""
     (made,) = import_maps(
         tmp_path, Collection([ForeignMap("free", np.zeros((5, 7), np.uint8))]), resolution=0.25
     )
@@ -147,7 +147,7 @@ def test_a_header_of_imported_maps_is_not_read_from_damaged_bytes(tmp_path: Path
     text = np.float64(0.25).tobytes()
     assert image.count(text) == 1
     path.write_bytes(image.replace(text, np.float64(0.5).tobytes()))
-    with pytest.raises(ShardError, match="checksum does not fit"):
+    with pytest.raises(ShardError, match="incorrect metadata checksum"):
         open_shard(path)
 
 
@@ -158,13 +158,14 @@ def test_a_shard_of_another_size_names_the_remedy(tmp_path: Path) -> None:
     image = path.read_bytes()
     build(tmp_path / "other", replace(SPEC, map_size=(70, 24)), maps=6, seed=3)
     other = (tmp_path / "other" / path.name).read_bytes()
-    for changed, why in ((image[:-1], "damaged"), (other, "not the shard that the manifest lists")):
+    for changed in (image[:-1], other):
         path.write_bytes(changed)
         with pytest.raises(ShardError) as caught:
             MapDataset(tmp_path)[0]
         assert str(caught.value) == (
-            f"{path}: has {len(changed)} bytes, the manifest says {len(image)}: {why}; "
-            "'mapdata verify' with --repair makes it again where there is a recipe"
+            f"{path}: has {len(changed)} bytes, the manifest says {len(image)}: damaged, or not "
+            "the file that the manifest lists; 'mapdata verify' with --repair makes it again where "
+            "there is a recipe"
         )
 
 
