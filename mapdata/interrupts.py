@@ -4,7 +4,8 @@ Python raises `KeyboardInterrupt` wherever the main thread is. That is right whi
 because `finally` blocks then clean up what it has begun. While modules are imported, the exception
 may be swallowed or replaced by another one, and while the interpreter shuts down nothing can catch
 it. So the process of a command line calls `exit_on_interrupt` before it imports anything large, and
-does its work within `stoppable`.
+does its work within `stoppable`. An exception that Python swallows even there, such as one in a
+destructor, stops nothing: Ctrl-C then has to be pressed again.
 """
 
 from __future__ import annotations
@@ -15,11 +16,8 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, NoReturn
-
-if TYPE_CHECKING:
-    from sys import UnraisableHookArgs
+from types import FrameType
+from typing import NoReturn
 
 EXIT_CODE = 130
 """The exit code that shells report for a program that Ctrl-C ended: 128 + SIGINT."""
@@ -38,9 +36,7 @@ def exit_on_interrupt() -> None:
     """
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         return
-    signal.signal(signal.SIGINT, _leave_now)
-    sys.excepthook = _report_error
-    sys.unraisablehook = _report_unraisable
+    signal.signal(signal.SIGINT, _handle)
     # Registered first, this runs last. After it Python removes the handler, and Ctrl-C would end
     # the process by the bare signal, although its work is done by then. So Ctrl-C is ignored.
     atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
@@ -56,20 +52,21 @@ def stoppable(message: str = STOPPED) -> Iterator[None]:
     Args:
         message: the line that is printed to stderr.
     """
-    if signal.getsignal(signal.SIGINT) is not _leave_now:
+    global _raises  # noqa: PLW0603  (a signal has one handler in a process)
+    if _raises or signal.getsignal(signal.SIGINT) is not _handle:
         yield
         return
-    handler = _RaiseOnce()
+    _raises = True
     try:
-        signal.signal(signal.SIGINT, handler)
         yield
-    except BaseException as error:
+    except BaseException:
         # An import may have turned the interrupt into another error; Lightning raises SystemExit.
-        if handler.pressed or isinstance(error, KeyboardInterrupt):
+        was_pressed = not _raises
+        if was_pressed:
             leave(message)
         raise
     finally:
-        signal.signal(signal.SIGINT, _leave_now)
+        _raises = False
 
 
 def leave(message: str = STOPPED) -> NoReturn:
@@ -86,44 +83,14 @@ def leave(message: str = STOPPED) -> NoReturn:
     os._exit(EXIT_CODE)
 
 
-def _leave_now(number: int, frame: FrameType | None) -> NoReturn:
-    """Handle SIGINT outside of `stoppable`, where there is nothing to clean up."""
-    leave()
+_raises = False
+"""Whether Ctrl-C raises `KeyboardInterrupt`: within `stoppable`, until it was pressed once."""
 
 
-class _RaiseOnce:
-    """The handler of SIGINT within `stoppable`.
-
-    Attributes:
-        pressed: whether Ctrl-C was pressed.
-    """
-
-    def __init__(self) -> None:
-        """Create a handler that has not been called."""
-        self.pressed = False
-
-    def __call__(self, number: int, frame: FrameType | None) -> NoReturn:
-        """Raise KeyboardInterrupt at the first call, and end the process at the second."""
-        if self.pressed:
-            leave()
-        self.pressed = True
-        raise KeyboardInterrupt
-
-
-def _report_error(
-    error_type: type[BaseException], error: BaseException, traceback: TracebackType | None
-) -> None:
-    """Print an error that nothing caught, or end the process if it is `KeyboardInterrupt`.
-
-    Compiled modules also report the errors here that they swallow while they are imported.
-    """
-    if issubclass(error_type, KeyboardInterrupt):
+def _handle(number: int, frame: FrameType | None) -> NoReturn:
+    """Handle SIGINT: raise `KeyboardInterrupt` or, with nothing to clean up, end the process."""
+    global _raises  # noqa: PLW0603
+    if not _raises:
         leave()
-    sys.__excepthook__(error_type, error, traceback)
-
-
-def _report_unraisable(unraisable: UnraisableHookArgs) -> None:
-    """Print an error of a destructor or callback, where Python ignores `KeyboardInterrupt`."""
-    if issubclass(unraisable.exc_type, KeyboardInterrupt):
-        leave()
-    sys.__unraisablehook__(unraisable)
+    _raises = False
+    raise KeyboardInterrupt
