@@ -1,4 +1,5 @@
-"""Changes that the site makes to its pages: pictures in two themes, links, words for its search.
+"""Changes that the site makes to its pages: pictures in two themes, words for its search, and pages
+at old addresses, which lead to where their text is now.
 
 A page says ``![words](images/name.png)``; beside it lies ``name-dark.png``. The site shows the
 picture of the theme that the reader has chosen; GitHub shows the light one. Of wide pictures there
@@ -17,6 +18,20 @@ PICTURE = re.compile(r"!\[([^\]]*)\]\(([\w./-]*images/[\w-]+)\.png\)")
 IMAGES = Path(__file__).parent / "images"
 IMAGE = re.compile(r'<img [^>]*src="([\w./-]*images/)([\w-]+?)(-dark)?\.png(#[\w-]+)"[^>]*>')
 CITATION = Path(__file__).parent.parent / "CITATION.cff"
+
+MOVED = {
+    "formats/maze-hard.md": "formats.md#maze-hard",
+    "formats/paper.md": "formats.md#paper",
+    "formats/planning-datasets.md": "formats.md#planning-datasets",
+    "formats/text.md": "formats.md#text",
+    "formats/tilebased.md": "formats.md#tilebased",
+    "formats/transpath.md": "formats.md#transpath",
+    "formats/warcraft.md": "formats.md#warcraft",
+    "limits.md": "promises.md#limits",
+    "urls.md": "loading.md#at-a-url",
+    "versions.md": "install.md#tested-versions",
+}
+"""Pages of earlier versions, and where their text is now: links to them stay good."""
 
 NOT_SEARCHED = ("benchmarks.md", "format.md", "paper.md", "planner_tables.md")
 """Long tables and definitions: they have nearly every word, and hide the page that explains one."""
@@ -119,13 +134,43 @@ def _with_phone_variant(image: re.Match[str]) -> str:
 
 
 def on_post_build(config: MutableMapping[str, Any]) -> None:
-    """Let the search answer every word.
+    """Write a page at each old address, and mend the search."""
+    site = Path(config["site_dir"])
+    for old, new in MOVED.items():
+        page = site / old.removesuffix(".md") / "index.html"
+        page.parent.mkdir(parents=True, exist_ok=True)
+        page.write_text(_redirect(old, new), encoding="utf-8")
+    _let_the_search_answer_every_word(site)
+
+
+def _redirect(old: str, new: str) -> str:
+    """Return a page that leads to a new place; an anchor of the old address is kept."""
+    target, _, anchor = new.partition("#")
+    up = "../" * (old.count("/") + 1)
+    address = f"{up}{target.removesuffix('.md')}/"
+    return f"""<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<title>This page has moved</title>
+<link rel="canonical" href="{address}">
+<meta name="robots" content="noindex">
+<script>location.replace("{address}" + (location.hash || "#{anchor}"))</script>
+<noscript><meta http-equiv="refresh" content="0; url={address}#{anchor}"></noscript>
+</head>
+<body>This page has moved to <a href="{address}#{anchor}">another place</a>.</body>
+</html>
+"""
+
+
+def _let_the_search_answer_every_word(site: Path) -> None:
+    """Change the program of the search where it takes a word for another.
 
     lunr writes the edges of a node without anything between them. Two nodes may so have one name:
     "1234" is an edge "1" to node 234, or an edge "1" to node 2 and an edge "3" to node 4. lunr then
     takes one for the other, and answers words such as "batch" with an error. A comma after each
     edge makes the names differ. tests/docs/test_docs.py tries all words.
     """
-    for worker in Path(config["site_dir"]).glob("assets/javascripts/workers/search.*.js"):
+    for worker in site.glob("assets/javascripts/workers/search.*.js"):
         program = worker.read_text(encoding="utf-8")
         worker.write_text(EDGE.sub(r'\1+","}return e', program), encoding="utf-8")

@@ -582,3 +582,71 @@ def test_no_two_pages_have_one_title() -> None:
     """A reader of the search or of the sidebar could not tell them apart."""
     titles = [page.read_text(encoding="utf-8").partition("\n")[0] for page in DOCS.rglob("*.md")]
     assert len(titles) == len(set(titles))
+
+
+PAGES_OF_0_3_0 = """
+    benchmarks command costs distributed export families faq fields first_look format formats
+    formats/images formats/maze-hard formats/movingai formats/paper formats/planning-datasets
+    formats/ros formats/text formats/tilebased formats/transpath formats/warcraft gallery
+    howto/coming_from howto/costmap howto/images howto/labels howto/maps howto/maze_hard howto/ompl
+    howto/planner howto/publish howto/robot howto/spec howto/teach howto/terrain howto/text
+    howto/training howto/waypoints index install layout leaks limits loading paper planner_tables
+    planners pretrained problems promises recipes reference/costmaps reference/datasets
+    reference/evaluation reference/export reference/families reference/formats reference/index
+    reference/maps reference/models reference/plotting reference/problems reference/search
+    reference/shards samplers scale tutorial urls versions which_problems words
+"""
+"""The pages of the site of version 0.3.0, which others may have linked, without ``.md``."""
+
+
+def moved_pages() -> dict[str, str]:
+    """Return the pages that have moved, and where to."""
+    moved: dict[str, str] = runpy.run_path(str(DOCS / "hooks.py"))["MOVED"]
+    return moved
+
+
+def test_no_page_of_an_earlier_version_is_lost() -> None:
+    """Each is a page still, or leads to the heading of one."""
+    now = {str(page.relative_to(DOCS).with_suffix("")) for page in DOCS.rglob("*.md")}
+    now.add(NOTEBOOK.stem)
+    moved = moved_pages()
+    gone = {name.removesuffix(".md") for name in moved}
+    assert gone.isdisjoint(now)
+    assert set(PAGES_OF_0_3_0.split()) <= now | gone
+    for place in moved.values():
+        page, _, anchor = place.partition("#")
+        headings = re.findall(r"^#+ (.*)$", (DOCS / page).read_text(encoding="utf-8"), re.MULTILINE)
+        assert anchor in [re.sub(r"\W+", "-", heading.lower()) for heading in headings], place
+
+
+@NEEDS_MKDOCS
+@pytest.mark.slow
+def test_every_address_of_an_earlier_version_is_answered(site: Path) -> None:
+    """By a page, or by one that leads to a page with the anchor in it, with and without scripts."""
+    moved = moved_pages()
+    for name in PAGES_OF_0_3_0.split():
+        is_front = name.rpartition("/")[2] == "index"
+        answer = site / (f"{name}.html" if is_front else f"{name}/index.html")
+        text = answer.read_text(encoding="utf-8")
+        if f"{name}.md" not in moved:
+            assert "<article" in text, name
+            continue
+        (address,) = set(re.findall(r'(?:url=|href=")([^"#]*#[^"]*)"', text))
+        folder, _, anchor = address.partition("#")
+        assert f'location.replace("{folder}" + (location.hash || "#{anchor}"))' in text
+        target = (answer.parent / folder / "index.html").resolve()
+        assert target.is_relative_to(site.resolve())
+        assert f'id="{anchor}"' in target.read_text(encoding="utf-8"), name
+
+
+def test_every_page_that_the_sources_name_is_there() -> None:
+    """Docstrings, error messages and comments name pages by their place."""
+    named = {
+        (page, file.name)
+        for folder in ("mapdata", "models", "scripts", "benchmarks", "docs", "tests", ".ci")
+        for file in (ROOT / folder).rglob("*")
+        if file.suffix in ("", ".py") and file.is_file()
+        for page in re.findall(r"\bdocs/[\w/-]+\.md\b", file.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 30
+    assert [one for one in sorted(named) if not (ROOT / one[0]).exists()] == []

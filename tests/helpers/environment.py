@@ -1,4 +1,4 @@
-"""What is run in an environment to say that mapdata works there, and its row in docs/versions.md.
+"""What is run in an environment to say that mapdata works there, and its row in docs/install.md.
 
 In a fresh environment of any Python, with the versions that are to be tried:
 
@@ -149,7 +149,7 @@ EXTRAS: dict[str, Callable[[], None]] = {"pyarrow": parquet, "distributed": dask
 
 
 def row(result: str) -> str:
-    """Return the row of docs/versions.md: the versions of all dependencies and the result."""
+    """Return the row of docs/install.md: the versions of all dependencies and the result."""
     import h5py
 
     wanted = [text for text in requires("mapdata-torch") or [] if "extra ==" not in text]

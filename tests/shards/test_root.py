@@ -353,8 +353,8 @@ def test_what_stays_is_named(fault: str, server: Server, monkeypatch: pytest.Mon
 
 
 def test_the_tries_are_those_of_the_page() -> None:
-    """docs/urls.md says how often, after what pauses, and within what limit."""
-    page = (Path(__file__).parents[2] / "docs" / "urls.md").read_text(encoding="utf-8")
+    """docs/loading.md says how often, after what pauses, and within what limit."""
+    page = (Path(__file__).parents[2] / "docs" / "loading.md").read_text(encoding="utf-8")
     assert TRIES == ((1, 4), 20, 300)
     for text in (
         "mapdata tries three times",
