@@ -421,9 +421,8 @@ def table(quick: bool, folder: str | None = None) -> str:
     for preset in PRESETS:
         for connectivity in (4, 8):
             rows += label_rows(preset, connectivity, count, rounds)
-    for side in (64,) if quick else (64, 512):
-        rows += planner_rows(side, rounds)
-        rows += warthog_rows(side, rounds)
+    rows += planner_rows(64, rounds)
+    rows += warthog_rows(64, rounds)
     return to_text(
         "Beside graph libraries and planners in C++",
         rows,

@@ -190,16 +190,10 @@ def growth_rows(work: float, rounds: int) -> list[Row]:
             works[f"{size} {rooms}"] = partial(_draw_and_label, generator, count)
     times = interleaved(works, rounds)
     rows = []
-    cost = {}
-    for (size, rooms), count in counts.items():
-        seconds = times[f"{size} {rooms}"]
-        cost[size, rooms] = statistics.median(seconds) / count
-        maps = generate(table_1(size, (rooms, rooms)), 0, range(count))
-        free = 1 - maps.occupancy.mean()
-        nanoseconds = cost[size, rooms] * 1e9 / (size * size * rooms)
-        note = f"{nanoseconds:.2f} ns a cell and source; {free:.0%} free; {count} maps"
-        name = f"all labels, {size} x {size}, {rooms} rooms, per map"
-        rows.append(Row(name, each(seconds, count), note=note))
+    cost = {
+        (size, rooms): statistics.median(times[f"{size} {rooms}"]) / count
+        for (size, rooms), count in counts.items()
+    }
     few, many = ROOMS
     for small, large in pairwise(SIZES):
         growth = " and ".join(f"{cost[large, rooms] / cost[small, rooms]:.1f}x" for rooms in ROOMS)

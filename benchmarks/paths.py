@@ -387,8 +387,8 @@ def table(quick: bool, parent: str | None = None) -> str:
     """Measure, and return the table; nothing is written."""
     rounds = 3 if quick else 9
     count = 100 if quick else 400
-    rows = [*rows_of(64, count, 100, rounds), *rows_of(256, count // 4, 25, rounds)]
-    for side in (64, 256, 1024) if quick else (64, 256, 1024, 4096):
+    rows = rows_of(64, count, 100, rounds)
+    for side in (64, 1024):
         rows += kinds_of(side, min(rounds, 5))
     notes = (
         f"{rounds} repeats",
