@@ -25,9 +25,12 @@ from mapdata.evaluation.planners import (
     Search,
     classical,
 )
+from mapdata.evaluation.suite import SUITE_MOVEMENT, SUITES, Part
 
 __all__ = [
     "METRICS",
+    "SUITES",
+    "SUITE_MOVEMENT",
     "TERRAIN_METRICS",
     "TIMES",
     "BatchPlanner",
@@ -39,6 +42,7 @@ __all__ = [
     "JumpPointSearch",
     "LandmarkAstar",
     "Limit",
+    "Part",
     "Plan",
     "Planner",
     "Search",
