@@ -104,32 +104,6 @@ def mask_paths(cells: Ints, offsets: Ints, rows: Int, columns: Int) -> Bytes:
 
 
 @kernel
-def sum_steps(terrains: Bytes | None, cells: Ints, offsets: Ints) -> Ints:
-    """Return the sums (B, 2) over straight and over diagonal steps of each path.
-
-    Without terrain these are the numbers of steps, on terrain the sums S and D of the doubled cost
-    (`mapdata.search.ground`). An empty path has (-1, 0).
-
-    Args:
-        terrains: (B, H, W), or None.
-        cells: (M, 2) cells of the paths, as in `pad_paths`.
-        offsets: (B + 1,) where each path begins in there.
-    """
-    sums = np.zeros((len(offsets) - 1, 2), np.int64)
-    for b in range(len(sums)):
-        if offsets[b + 1] == offsets[b]:
-            sums[b, 0] = -1
-        for k in range(offsets[b] + 1, offsets[b + 1]):
-            is_diagonal = cells[k, 0] != cells[k - 1, 0] and cells[k, 1] != cells[k - 1, 1]
-            cost = np.int64(1)
-            if terrains is not None:
-                cost = np.int64(terrains[b, cells[k, 0], cells[k, 1]])
-                cost += np.int64(terrains[b, cells[k - 1, 0], cells[k - 1, 1]])
-            sums[b, 1 if is_diagonal else 0] += cost
-    return sums
-
-
-@kernel
 def _search_around(
     goal: tuple[Int, Int],
     map_: Bytes,

@@ -23,20 +23,18 @@ from mapdata.datasets.field_kernels import (
     mask_paths,
     pad_paths,
     path_probabilities,
-    sum_steps,
 )
 from mapdata.datasets.sample import padded_path_length
 from mapdata.datasets.tiles import Tiles
 from mapdata.movement import Movement
 from mapdata.problems.symmetry import transform_grids
-from mapdata.search.api import SEARCHES, check_cost, search_terrains, solve_batch
+from mapdata.search.api import SEARCHES
 from mapdata.search.footprint import clearances, without_occupied
 from mapdata.search.kernels import search_memory
-from mapdata.search.lattice import UNIT, move_rule
+from mapdata.search.lattice import BFS, UNIT, move_rule
 from mapdata.search.lattice import hardness as hardness_of
 from mapdata.search.map_stack import MapStack
 from mapdata.search.taut import NOT_FREE, robot_of, write_waypoints
-from mapdata.search.terrain import costs_from_sums
 
 
 class Paths(NamedTuple):
@@ -147,18 +145,15 @@ class Batch:
         known_paths = self.compute_paths(self.search)
         if known_paths is not None:
             return known_paths
-        # An end is occupied where the robot does not fit. Such a problem has no path.
-        if self.search == "astar" and self.terrain is not None:
-            solved, first_unsolved, high_cost = search_terrains(
-                self.terrain, self.starts, self.goals, self.movement, allow_occupied_ends=True
-            )
-            check_cost(self.map_numbers, first_unsolved, high_cost)
-        else:
-            search = SEARCHES[self.search]
-            solved = solve_batch(
-                search, self.grids, self.starts, self.goals, self.movement, allow_occupied_ends=True
-            )
-        return Paths(solved.cells, solved.offsets, solved.iterations)
+        solved = self._searched_maps.solve(
+            self.starts,
+            self.goals,
+            self.movement,
+            SEARCHES[self.search],
+            allow_occupied_ends=True,  # where the robot does not fit; such a problem has no path
+            error_prefix=self._error_prefix,
+        )
+        return Paths(solved.cells, solved.offsets, solved.expansions)
 
     @property
     def with_astar(self) -> Batch:
@@ -210,6 +205,15 @@ class Batch:
         """The maps as served, after symmetries and inflation."""
         return MapStack(self.grids, self.terrain)
 
+    @property
+    def _searched_maps(self) -> MapStack:
+        """The maps as the search sees them. Terrain is not read for BFS, which counts moves."""
+        return MapStack(self.grids, None) if self.search == "bfs" else self.maps
+
+    def _error_prefix(self, row: int) -> str:
+        """Return how an error on map ``row`` begins. Its number is not read without an error."""
+        return f"map {self.map_numbers[row]}: "
+
     @cached_property
     def min_cell_costs(self) -> Ints | None:
         """(B,) int64, the smallest cost of a free cell of each map; None without terrain.
@@ -231,12 +235,17 @@ class Batch:
     def costs(self) -> Floats:
         """(B,) cost of the paths, -1 without a path; BFS counts moves."""
         cells, offsets, _ = self.paths
-        if self.search == "astar" and self.terrain is not None:
-            return costs_from_sums(sum_steps(self.terrain, cells, offsets), self.movement)
-        straight_moves, diagonal_moves = sum_steps(None, cells, offsets).T
-        diagonal_cost = 1.0 if self.search == "bfs" else self.movement.diagonal_cost
-        costs: Floats = straight_moves + diagonal_moves * diagonal_cost
-        return costs
+        if self.search == "bfs":
+            return np.diff(offsets) - 1.0  # One cell is no move, and no cell is no path.
+        return self.maps.costs_of_paths(cells, offsets, self.movement)
+
+    def check_exact(self, row: int, high_cost: int) -> None:
+        """Refuse map ``row`` if a kernel met a cost on it that is too high to be exact, or 0.
+
+        Raises:
+            ValueError: such a cost.
+        """
+        self.maps.check_exact(row, high_cost, self._error_prefix)
 
     @cached_property
     def goal_fields(self) -> GoalFields:
@@ -257,8 +266,7 @@ class Batch:
             row, high_cost = fill_goal_fields(
                 *self.maps.ground, self.starts, self.goals, lattice, scratch, goal_fields
             )
-        if high_cost:  # Otherwise the numbers of the maps are not needed, which may be dear.
-            check_cost(self.map_numbers, row, high_cost)
+        self.check_exact(row, high_cost)
         return goal_fields
 
 
@@ -411,8 +419,7 @@ def path_probability(batch: Batch) -> Float32s:
     probabilities, row, high_cost = path_probabilities(
         *batch.maps.ground, batch.starts, batch.goals, cells, offsets, lattice, scratch
     )
-    if high_cost:  # Otherwise the numbers of the maps are not needed, which may be dear.
-        check_cost(batch.map_numbers, row, high_cost)
+    batch.check_exact(row, high_cost)
     return probabilities
 
 
@@ -682,9 +689,9 @@ def room_matrices(
     """
     diagonals, diagonal_cost = move_rule(movement)
     if search == "bfs":
-        maps = MapStack(maps.grids, None)
+        maps = maps.seen_by(BFS)
         diagonal_cost = UNIT
     lattice, scratch = search_memory(maps.grids.shape[1:], (diagonals, diagonal_cost))
     matrices, row, high_cost = fill_room_matrices(*maps.ground, seed_points, lattice, scratch)
-    check_cost(map_numbers, row, high_cost)
+    maps.check_exact(row, high_cost, lambda k: f"map {map_numbers[k]}: ")
     return matrices

@@ -14,9 +14,9 @@ from mapdata.arrays import Array, Bytes, Flags, Floats, Ints
 from mapdata.generators.maps import Maps, unpacked
 from mapdata.limits import SPLITS
 from mapdata.search.api import SEARCHES
+from mapdata.search.ground import costs_of_sums
 from mapdata.search.labels import Labels, label
 from mapdata.search.lattice import hardness
-from mapdata.search.terrain import costs_from_sums
 from mapdata.shards.locations import Locations
 from mapdata.shards.root import Root
 
@@ -218,7 +218,7 @@ def _shard_columns(labels: Labels, hash_maps: bool) -> dict[str, Array]:
         costs = straight + diagonal * maps.movement.diagonal_cost
         segment_hardness = hardness(costs, starts, goals, maps.movement)
     else:
-        costs = costs_from_sums(segment_costs, maps.movement)
+        costs = costs_of_sums(segment_costs, maps.movement, are_doubled=True)
         min_costs = np.where(maps.terrain == 0, 255, maps.terrain).min(axis=(1, 2))
         segment_hardness = hardness(costs, starts, goals, maps.movement, min_costs[map_of_segment])
     max_hardness = np.zeros(len(maps))

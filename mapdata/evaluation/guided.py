@@ -17,7 +17,8 @@ from mapdata.arrays import Bytes, Float32s, Ints
 from mapdata.checks import check_number
 from mapdata.evaluation.metrics import Batched, Plan
 from mapdata.movement import STEPS, Movement, check_movement
-from mapdata.search.api import as_checked_problems, as_terrain, search_batch, terrain_from_costs
+from mapdata.search.api import search_batch
+from mapdata.search.arguments import as_checked_problems, as_terrain, terrain_from_costs
 from mapdata.search.predicted_moves import follow_predictions
 
 PRIOR = 3.0

@@ -27,7 +27,7 @@ from mapdata.generators.points import check_seed_points, draw_points, largest_co
 from mapdata.limits import MAX_ROOMS, MAX_SIDE, SPLITS, Size
 from mapdata.movement import Movement
 from mapdata.rng import SPLIT, block, threshold
-from mapdata.search.api import why_not_free
+from mapdata.search.arguments import why_not_free
 from mapdata.search.labels import HighCostError, label
 from mapdata.search.lattice import move_rule
 from mapdata.shards.builder import planned_headers

@@ -35,13 +35,8 @@ from mapdata.problems.sources import (
     problem_source,
 )
 from mapdata.problems.substitutes import RARE_SHARE, most_maps, say_rare
-from mapdata.search.api import (
-    BatchResult,
-    as_grid,
-    as_terrain,
-    check_cost,
-    search_batch,
-)
+from mapdata.search.api import BatchResult, check_cost, search_batch
+from mapdata.search.arguments import as_grid, as_terrain
 from mapdata.search.footprint import min_squared_clearance, occupies_cells
 from mapdata.search.lattice import ASTAR, HARD, hardness, move_rule
 from mapdata.search.map_stack import MapStack

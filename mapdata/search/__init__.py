@@ -4,14 +4,13 @@ from mapdata.movement import STEPS
 from mapdata.search.api import (
     BatchResult,
     SearchResult,
-    as_terrain,
     astar,
     bfs,
     check_path,
     distance_field,
     search_batch,
-    terrain_from_costs,
 )
+from mapdata.search.arguments import as_terrain, terrain_from_costs
 from mapdata.search.footprint import clearance, inflate, inflate_terrain
 from mapdata.search.labels import Labels, RouteLabels, label
 from mapdata.search.lattice import hardness, move_rule

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from mapdata.arrays import Bytes, Float32s, Int32s
 from mapdata.checks import check_number
 from mapdata.jit import Int, inlined, kernel
-from mapdata.search.api import as_grid, as_terrain, values_complaint
+from mapdata.search.arguments import as_grid, as_terrain, values_complaint
 
 
 def clearance(grid: ArrayLike) -> Float32s:

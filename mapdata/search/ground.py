@@ -31,8 +31,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Ints
+from mapdata.arrays import Bytes, Floats, Ints
 from mapdata.jit import Int, inlined, kernel
+from mapdata.movement import Movement
 from mapdata.search.lattice import (
     DIAGONAL,
     INFINITY,
@@ -227,3 +228,66 @@ def cost_in_cells(cost: Int, unit: Int) -> float:
         return -1.0
     doubled_cost: float = cost if unit == 1 else in_cells(cost)
     return doubled_cost / (1 if unit == NOT_DOUBLED else 2)
+
+
+# --- costs in cells -----------------------------------------------------------------------------
+
+
+@kernel
+def sum_steps(terrains: Bytes | None, cells: Ints, offsets: Ints) -> Ints:
+    """Return the sums (B, 2) over straight and over diagonal steps of each path.
+
+    Without terrain these are the numbers of steps, on terrain the sums S and D of the doubled cost
+    above. An empty path has (-1, 0).
+
+    Args:
+        terrains: (B, H, W), or None.
+        cells: (M, 2) cells of the paths, one after another.
+        offsets: (B + 1,) where each path begins in there.
+    """
+    sums = np.zeros((len(offsets) - 1, 2), np.int64)
+    for b in range(len(sums)):
+        if offsets[b + 1] == offsets[b]:
+            sums[b, 0] = -1
+        for k in range(offsets[b] + 1, offsets[b + 1]):
+            is_diagonal = cells[k, 0] != cells[k - 1, 0] and cells[k, 1] != cells[k - 1, 1]
+            cost = np.int64(1)
+            if terrains is not None:
+                cost = np.int64(terrains[b, cells[k, 0], cells[k, 1]])
+                cost += np.int64(terrains[b, cells[k - 1, 0], cells[k - 1, 1]])
+            sums[b, 1 if is_diagonal else 0] += cost
+    return sums
+
+
+def costs_of_sums(sums: Ints, movement: Movement, *, are_doubled: bool) -> Floats:
+    """Return the costs (n,) in cells of sums (n, 2) over straight and over diagonal moves.
+
+    Args:
+        sums: as from `sum_steps`; (-1, 0) stands for no path, whose cost is -1.
+        movement: says what a diagonal move costs.
+        are_doubled: whether the sums are those of terrain, S and D, and not numbers of moves.
+    """
+    straight, diagonal = sums.T
+    costs = straight + diagonal * movement.diagonal_cost
+    if are_doubled:
+        costs = costs / 2
+    return np.where(straight < 0, -1.0, costs)
+
+
+def high_cost_complaint(high_cost: int) -> str:
+    """Return the error message for a cost that is not exact.
+
+    Callers that know the number of the map put it before this message.
+
+    Args:
+        high_cost: as kernels return it: doubled and in 1 / UNIT on terrain, TOO_LONG on a grid.
+    """
+    if high_cost == TOO_LONG:
+        return (
+            f"the grid has paths of {MAX_PATH_COST} cells or more, for which costs are not exact: "
+            "expected a coarser grid, or a search that counts moves (A* under 4-connectivity, BFS)"
+        )
+    return (
+        f"terrain: a path costs {high_cost / (2 * UNIT):,.0f}, and costs are exact only below "
+        f"{MAX_PATH_COST / 2:,.0f}: divide the terrain by a number, or let diagonal moves cost 1"
+    )

@@ -14,11 +14,19 @@ from mapdata.checks import check_choice
 from mapdata.generators.maps import Maps, unpacked
 from mapdata.jit import Int, kernel
 from mapdata.movement import STEPS, Movement
-from mapdata.search.api import SEARCHES, as_terrain, high_cost_complaint
+from mapdata.search.api import SEARCHES
+from mapdata.search.arguments import as_terrain
 from mapdata.search.bitboard import MAX_SIDE as MAX_BITBOARD_SIDE
 from mapdata.search.bitboard import bfs_labels_by_bits
 from mapdata.search.footprint import occupies_cells
-from mapdata.search.ground import EXACT, PaddedTerrain, as_ground, load_map, sums_of_cost
+from mapdata.search.ground import (
+    EXACT,
+    PaddedTerrain,
+    as_ground,
+    high_cost_complaint,
+    load_map,
+    sums_of_cost,
+)
 from mapdata.search.jump_points import find_free_neighbours, jump_costs
 from mapdata.search.kernels import (
     Scratch,

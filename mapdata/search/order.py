@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 from mapdata.arrays import Bytes, Floats, Int32s, Ints, summary
 from mapdata.checks import check_choice, check_number
 from mapdata.movement import STEPS, Movement
-from mapdata.search.api import SEARCHES, as_grid, as_terrain, astar, bfs, check_path
+from mapdata.search.api import SEARCHES, astar, bfs, check_path
+from mapdata.search.arguments import as_grid, as_terrain
 from mapdata.search.lattice import DIAGONAL, UNIT, UNIT_BITS, heuristics
 
 Heuristic: TypeAlias = "ArrayLike | Callable[[int, int], float]"

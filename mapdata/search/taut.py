@@ -32,7 +32,8 @@ from mapdata.arrays import Bytes, Flags, Float32s, Floats, Ints
 from mapdata.checks import check_count, check_number
 from mapdata.jit import Int, inlined, kernel
 from mapdata.movement import Movement
-from mapdata.search.api import as_grid, check_path, values_complaint
+from mapdata.search.api import check_path
+from mapdata.search.arguments import as_grid, values_complaint
 from mapdata.search.footprint import without_clearance
 
 CELL = 256

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Floats, Ints, UInt32s
+from mapdata.arrays import Bytes, Ints, UInt32s
 from mapdata.jit import Int, inlined, kernel
 from mapdata.movement import STEPS, Movement
 from mapdata.search.ground import EXACT, MAX_COST, PaddedTerrain, terrain_heuristic
@@ -406,13 +406,6 @@ def min_cell_costs(terrain: Bytes) -> Ints:
     return min_costs
 
 
-def costs_from_sums(sums: Ints, movement: Movement) -> Floats:
-    """Return the costs (n,) in cells of the sums S and D (n, 2), -1 where S is negative."""
-    straight_sums, diagonal_sums = sums.T
-    costs = (straight_sums + diagonal_sums * movement.diagonal_cost) / 2
-    return np.where(straight_sums < 0, -1.0, costs)
-
-
 def terrain_path_cost(terrain: Bytes, path: Ints, movement: Movement) -> float:
     """Return the cost in cells of a legal ``path`` (k, 2) on ``terrain`` (H, W)."""
     cell_costs = terrain[path[:, 0], path[:, 1]].astype(np.int64)
@@ -420,4 +413,4 @@ def terrain_path_cost(terrain: Bytes, path: Ints, movement: Movement) -> float:
     is_diagonal = np.all(path[:-1] != path[1:], axis=1)
     diagonal_sum = int(move_sums[is_diagonal].sum())
     straight_sum = int(move_sums.sum()) - diagonal_sum
-    return float((straight_sum + diagonal_sum * movement.diagonal_cost) / 2)
+    return (straight_sum + diagonal_sum * movement.diagonal_cost) / 2
