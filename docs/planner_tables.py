@@ -6,13 +6,14 @@
     python docs/planner_tables.py --no-network              the search without a network alone, and
                                                             what the networks add to it
     python docs/planner_tables.py --pages                   the tables again, measuring nothing
-    python docs/planner_tables.py --transfer                small networks of one family each
+    python docs/planner_tables.py --transfer                small networks of one family each;
+                                                            with --pages their table alone
     python docs/planner_tables.py --file FILE --weights FILE --baseline ROW    problems of others
 
 Each set is a recipe: one problem on each map of seed 77, until so many are hard. All figures are
 kept in docs/planner_results.json, set by set, so that a run that is stopped loses one set at most;
-planner_results.py says what stands in it. The tables of docs/planner_tables.md and those between
-the marks of docs/planners.md are made from it.
+planner_results.py says what stands in it. The tables between the marks of docs/planners.md are made
+from it.
 
 `--add` measures a planner of your own alone and puts its row beside the others. NAME of
 MODULE:NAME is a planner, or a class or function that takes a `mapdata.Movement` and returns one.
@@ -464,28 +465,6 @@ def short_table(results: Results, name: str) -> str:
     return table_of(results, name, SHORT, left_out)
 
 
-def table_of_hmeans(results: Results) -> str:
-    """Return Hmean of all planners on all sets."""
-    hmeans: dict[str, dict[str, float]] = {}
-    for row in results.rows:
-        if row["set"] in SETS and is_main_row(row["planner"]):
-            hmeans.setdefault(row["planner"], {})[row["set"]] = row["hmean"]
-    rows = [["set", *hmeans]]
-    for name in SETS:
-        if name in results.sets:
-            rows.append([name, *(cell(hmeans[planner].get(name), 2) for planner in hmeans)])
-    return markdown(rows)
-
-
-def transfer_source(results: Results) -> str:
-    """Return where the table of transfer is from, if it was not measured with the other tables."""
-    for row in results.rows:
-        source = results.runs[row["run"]].get("source")
-        if source and not is_main_row(row["planner"]):
-            return f" ({source})"
-    return ""
-
-
 def zero_shot_name(map_name: str, size: int, ending: str) -> str:
     """Return the name of the set of problems on windows of a map, which zero_shot.py draws."""
     return f"{map_name}-{size}{ending}-windows"
@@ -581,195 +560,6 @@ def table_of_transfer(results: Results) -> str:
     return markdown(rows)
 
 
-def machines(results: Results) -> str:
-    """Return the machines and versions that the rows were measured with."""
-    lines = []
-    for run in results.runs:
-        if "machine" in run:
-            versions = ", ".join(f"{name} {version}" for name, version in run["versions"].items())
-            line = f"- {run['machine']}, {run['threads']} thread: {versions}"
-            if line not in lines:
-                lines.append(line)
-        else:
-            lines.append(f"- not measured by these scripts: {run['source']}")
-    return "\n".join(lines)
-
-
-PAGE = """# All planners on all sets
-
-[Planners compared](planners.md) explains the columns. All tables have hard problems only; ± is half
-the width of the 95 % interval. Times are processor time of one thread, in milliseconds a problem,
-means over the first 100 problems in batches. Processors round differently: on another one, Opt and
-Hmean of the network can differ by up to .01.
-
-`python docs/planner_tables.py` measures all of it, in half an hour, and keeps every figure in
-[planner_results.json](planner_results.json), with more columns than the tables have;
-`docs/planner_results.py` describes that file. This command prints all columns of a set, and adds
-your own planner to the file and to these tables:
-
-    python docs/planner_tables.py --set dungeon-hard-1000 --add my_module:planner
-
-`planner` is an object as [Your own planner](howto/planner.md) describes it, or a class or function
-that takes a `mapdata.Movement` and returns one.
-
-## The sets
-
-A set is a recipe: one problem on each map of seed 77, until a given number of them is hard. Its
-name has the preset, `cut` where corners may be cut or `4` for 4-connected movement, and that
-number. This makes one of them:
-
-    python -m mapdata.models.evaluate planners --preset narrow --seed 77 --until-hard 300 \\
-        --corner-cutting --save narrow-cut-hard-300.npz
-
-`mapdata evaluate narrow-cut-hard-300.npz` compares planners on it, and in Python
-`ProblemSet.load("narrow-cut-hard-300.npz")` reads it. The file of results has the hash of each set,
-`ProblemSet.content_hash`: equal hashes mean that all problems are equal, cell by cell.
-
-Two generators are no presets. `loops` has mazes with corridors of two cells, from which a tenth of
-the walls is removed. `dungeon256` has 60 to 120 rooms on 256 x 256 cells. The file of results has
-both.
-
-JPS4, a jump point search for 4-connected movement (Baum 2025,
-[arXiv 2501.14816](https://arxiv.org/abs/2501.14816)), was not measured.
-
-## Time and cost
-
-A*, JPS, the goal field and A* with landmarks find optimal paths.
-
-{summary}
-
-## What learning adds
-
-The network guides a search that needs no network: `classical` has it as "guided search, no
-network". There the score of a move is -3 times its detour on an empty map, and the cost to go is
-that on an empty map. The differences are those of the same problems, network minus no network, with
-95 % intervals of a paired bootstrap.
-
-{differences}
-
-The network saves a quarter of A*'s expansions or more on all sets. With 8 moves and up to 128 x 128
-cells it also adds optimal paths, but on mazes; on 256 x 256 cells it loses some. With 4 moves the
-search alone saves 3 to 18 % of the expansions, and nearly all of its paths are optimal. There the
-network loses optimal paths on five of ten sets.
-
-## Hmean
-
-For readers of Neural A* and TransPath: the harmonic mean of Opt and Exp. It counts expansions, and
-neither the cells that a goal field, landmarks or a network look at before, nor time.
-
-{hmeans}
-
-## Figures that others published
-
-None of these is comparable with the tables above: sets, movement and definitions differ. UPath
-(Ananikian et al. 2026, [arXiv 2602.23789](https://arxiv.org/abs/2602.23789)), on its UPF set of
-20,000 tasks on ten kinds of maps: up to 2.2 times fewer expansions than A* (expansions ratio),
-costs within 3 % of the optimal ones on average (cost ratio), and 72.63 % optimal paths (optimal
-found ratio) by its variant Beta+Fig. TRM (Jolicoeur-Martineau 2025,
-[arXiv 2510.04871](https://arxiv.org/abs/2510.04871)), on Maze-Hard: 85.3 % of the mazes equal the
-stored label in every cell, and 74.5 % for HRM; the stored label is one of many shortest paths
-([what a copy of that set measures](howto/maze_hard.md)).
-
-## What carries over
-
-The table has the Hmean of small networks (the defaults of `PathPredictor`) on the hard problems of
-each column's set. Each network was trained for 2,000 steps, with 24 maps of one family in each
-step, with 4 maps of each of all five, or with 6 maps of each but one.
-`python docs/planner_tables.py --transfer` measures it{transfer_source}.
-
-{transfer}
-
-The first row is the search without a network. What a network is worth on a family is the difference
-to it: a training on another family is worth less than nothing in some cells.
-
-Training on rooms, caves, forests or noise helps on the other three, too: without caves in the
-training, caves are solved nearly as well as with them. Mazes are different: a network that was
-trained on mazes solves little else, and networks that were not trained on mazes solve few of them.
-Training on all five together costs little on rooms, caves and forests, and more on mazes and noise:
-each family then has a sixth of the maps that it has alone.
-
-## How the weights were trained
-
-### Path predictors
-
-These commands trained the pretrained weights for 8-connected movement, for corner cutting and for
-4-connected movement. They take 50, 20 and 25 minutes on one core:
-
-    T="python -m mapdata.models.train path_predictor"
-    $T fit --weights path_predictor.pt
-    $T fit --weights path_predictor_cut.pt --model.corner_cutting true \\
-        --start_from path_predictor.pt --trainer.max_epochs 4 --model.learning_rate 0.002
-    $T fit --weights path_predictor_4.pt --model.connectivity 4 \\
-        --model.widths "[32,64,96,96]" --trainer.max_epochs 5
-
-A step has 39 maps of 64 x 64 cells of four families (rooms, mazes, caves and forests, which include
-noise) and one map of 128 x 128 of each family. Then each network was trained for another 1,000
-steps, which take 10 minutes. Each of these steps also has 10 more maps of noise, and one map of
-rooms of 256 x 256 cells:
-
-    R="python -m mapdata.models.train refine_path_predictor"
-    $R fit --start_from path_predictor.pt --weights path_predictor.pt
-    $R fit --start_from path_predictor_cut.pt --weights path_predictor_cut.pt \\
-        --model.corner_cutting true
-    $R fit --start_from path_predictor_4.pt --weights path_predictor_4.pt --model.connectivity 4 \\
-        --model.widths "[32,64,96,96]"
-
-To train the pretrained weights further on your own maps, save them to a file. The refined network
-has one more block, so the option `--model.refinements 1` is needed:
-
-    python -c "from mapdata.models import PathPredictor as P; P.pretrained().save('start.pt')"
-    $T fit --start_from start.pt --model.refinements 1 --weights mine.pt \\
-        --data mapdata.MapDataModule --data.root data/maps
-
-### Mazes of planning-datasets
-
-The [table of these mazes](planners.md#problems-of-others) has networks that were trained on the
-training split of the same file, without the 39 maps that also occur, perhaps rotated or mirrored,
-in another split. The path predictor was trained for 800 steps, about five minutes on one core:
-
-    mapdata import mazes_032_moore_c8.npz data/mazes --drop-leaks
-    DATA="--data mapdata.MapDataModule --data.root data/mazes --data.batch_size 100"
-    RULE="--model.corner_cutting true --model.diagonal_cost 1"
-    $T fit --weights mazes.pt $DATA $RULE \\
-        --data.fields "[map,start,goal,optimal_moves,heuristic_ratio]" --data.problems random \\
-        --data.augment true --trainer.max_epochs -1 --trainer.max_steps 800 \\
-        --trainer.check_val_every_n_epoch 50
-    python docs/planner_tables.py --file mazes_032_moore_c8.npz --weights mazes.pt \\
-        --baseline "A* of Neural A*"
-
-`mapdata.models.neural_astar` has Neural A* in one file of plain torch: the authors' encoder, and
-the search through which it is trained. This command trains it on the same mazes, with the goals of
-the file and starts at least 22 moves away, in about nine minutes on one core:
-
-    $T fit --weights neural_astar.pt --model NeuralAstar --model.learning_rate 0.001 \\
-        $DATA $RULE --data.fields "[map,start,goal,optimal_moves]" \\
-        --data.problems '{{random: {{distance: [22, null], to_first_seed_point: true}}}}' \\
-        --trainer.max_epochs 50 --trainer.gradient_clip_val null --seed_everything 1
-
-Two things matter when you train Neural A*. First, a problem has many shortest paths: in each step
-the model chooses one of them at random, as the authors' data does. Second, the goals of the file
-lie near the border: with goals anywhere on the map, three seeds had an Hmean of only .509, .537 and
-.528. The command trains in bfloat16 on 761 of the 800 maps and keeps the weights of the last epoch;
-the authors keep those with the best validation score.
-
-## Measured on
-
-{machines}
-"""
-
-
-def page_of_sets(results: Results) -> str:
-    """Return docs/planner_tables.md."""
-    return PAGE.format(
-        summary=summary(results, [name for name in SETS if name in results.sets]),
-        differences=table_of_differences(results, SETS),
-        hmeans=table_of_hmeans(results),
-        transfer=table_of_transfer(results),
-        transfer_source=transfer_source(results),
-        machines=machines(results),
-    )
-
-
 def filled(page: str, tables: dict[str, str]) -> str:
     """Return a page with its tables anew: each stands between two comments that name it."""
     for name, table in tables.items():
@@ -784,8 +574,7 @@ def filled(page: str, tables: dict[str, str]) -> str:
 
 
 def write_pages(results: Results, folder: Path) -> None:
-    """Write planner_tables.md, and the tables of planners.md, of a folder."""
-    write_output(folder / "planner_tables.md", page_of_sets(results).encode())
+    """Write the tables of planners.md of a folder."""
     page = folder / "planners.md"
     windows = [name for name in results.sets if re.search(r"(?<!-cut)-windows$", name)]
     tables = {
@@ -809,8 +598,34 @@ def words_of(arguments: Sequence[str]) -> list[str]:
     return [Path(word).name if "/" in word else word for word in words]
 
 
+def measure_what_is_asked(
+    options: argparse.Namespace, results: Results, path: Path, command: str
+) -> None:
+    """Measure what the command line says, and add it to the results."""
+    if options.transfer and options.no_network:
+        for name in TRANSFER_SETS.values():
+            without = [one for one in classical() if one.name == NO_NETWORK]
+            measure(results, name, without, command)
+    elif options.transfer:
+        transfer(results, path, options.steps, command)
+    elif options.file:
+        only = [NO_NETWORK] if options.no_network else None
+        measure_file(results, options.file, options.weights, options.baseline, command, only)
+    else:
+        own = [own_planner(reference, "--add") for reference in options.add]
+        for name in options.sets or SETS:
+            movement = RULES[SETS[name][1]]
+            if options.no_network:
+                measure(results, name, guided_planners(movement), command, [NO_NETWORK])
+            else:
+                rows = [make(movement) for make in own] or all_planners(movement)
+                measure(results, name, rows, command)
+            results.write(path)
+            print(f"{name}\n\n{table_of(results, name)}\n", flush=True)
+
+
 def main(arguments: list[str] | None = None) -> None:
-    """Measure what the command line says, and write the results and the pages."""
+    """Measure what the command line says, and write the results and the tables of planners.md."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -829,33 +644,19 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--file", help="problems of others: a .scen, or an .npz")
     parser.add_argument("--weights", action="append", default=[], help="networks for --file")
     parser.add_argument("--baseline", help="row of --file whose expansions count as 1")
-    parser.add_argument("--folder", type=Path, default=DOCS, help="of results and pages")
+    parser.add_argument(
+        "--folder", type=Path, default=DOCS, help="of the results and of planners.md"
+    )
     options = parser.parse_args(arguments)
     warnings.simplefilter("ignore")
     torch.set_num_threads(1)
     path = options.folder / "planner_results.json"
     results = Results.read(path)
     command = " ".join(["python docs/planner_tables.py", *words_of(arguments or sys.argv[1:])])
-    if options.transfer and options.no_network:
-        for name in TRANSFER_SETS.values():
-            without = [one for one in classical() if one.name == NO_NETWORK]
-            measure(results, name, without, command)
-    elif options.transfer:
-        transfer(results, path, options.steps, command)
-    elif options.file:
-        only = [NO_NETWORK] if options.no_network else None
-        measure_file(results, options.file, options.weights, options.baseline, command, only)
-    elif not options.pages:
-        own = [own_planner(reference, "--add") for reference in options.add]
-        for name in options.sets or SETS:
-            movement = RULES[SETS[name][1]]
-            if options.no_network:
-                measure(results, name, guided_planners(movement), command, [NO_NETWORK])
-            else:
-                rows = [make(movement) for make in own] or all_planners(movement)
-                measure(results, name, rows, command)
-            results.write(path)
-            print(f"{name}\n\n{table_of(results, name)}\n", flush=True)
+    if not options.pages:
+        measure_what_is_asked(options, results, path, command)
+    if options.transfer:
+        print(table_of_transfer(results))
     results.write(path)
     write_pages(results, options.folder)
 

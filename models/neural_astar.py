@@ -18,7 +18,7 @@ guidance cost in (0, 1). A* with these costs should expand the cells of the path
     )
     pl.Trainer(max_epochs=50).fit(model, data)
 
-docs/planners.md compares it with the published results; docs/planner_tables.md has the command.
+docs/planners.md compares it with the published results; docs/reference/models.md has the command.
 
 This file reads from top to bottom: search, network, training, planner. All of it is torch: each
 step of the search is a few operations on tensors of B maps, so that gradients flow through it.

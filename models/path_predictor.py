@@ -36,7 +36,7 @@ The pretrained weights were trained without terrain, by
 
 in 7,000 steps of 39 maps of all families and 4 larger ones, which take 50 minutes of one core. Then
 came 1,000 steps with the additions of configs/refine_path_predictor.yaml, 10 minutes more.
-`PathPredictor.pretrained` loads them, and those for other movements (docs/planner_tables.md has
+`PathPredictor.pretrained` loads them, and those for other movements (docs/reference/models.md has
 all commands).
 
 `torch.export.export(model, (map, goal))` and the export to ONNX take the network as it is.

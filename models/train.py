@@ -37,7 +37,7 @@ These flags can follow fit:
         --data.fields selects others.
     --model NeuralAstar
         Train another model. Also set the learning rate, the movement and the fields, because those
-        of the YAML file are for the path predictor; docs/planner_tables.md has the command.
+        of the YAML file are for the path predictor; docs/reference/models.md has the command.
 
 Models of costs
 ---------------

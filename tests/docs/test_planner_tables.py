@@ -48,10 +48,12 @@ def tables(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> ModuleType:
     import planner_tables
 
     monkeypatch.setattr(planner_tables, "SETS", {"maze-hard-5": ("maze", "")})
+    monkeypatch.setattr(planner_tables, "FIRST_SETS", ["maze-hard-5"])
     monkeypatch.setattr(planner_tables, "all_planners", classical)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my_module.py").write_text(OWN_PLANNER)
-    (tmp_path / "planners.md").write_text("a\n<!-- table hall -->\nold\n<!-- end -->\nb\n")
+    page = "<!-- table differences -->\nold\n<!-- end -->\nb\n"
+    (tmp_path / "planners.md").write_text(page)
     return planner_tables
 
 
@@ -61,8 +63,8 @@ def rows_of(folder: Path) -> pd.DataFrame:
     return pd.DataFrame(document["rows"]).set_index("planner")
 
 
-def test_one_command_adds_a_planner_to_the_results_and_to_the_page(
-    tables: ModuleType, tmp_path: Path
+def test_one_command_adds_a_planner_to_the_results(
+    tables: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its row is that of `evaluate`, beside those of the other planners; measured once more, it
     takes the place of the older row.
@@ -78,8 +80,9 @@ def test_one_command_adds_a_planner_to_the_results_and_to_the_page(
         expected = factor * rows.expansion_ratio["BFS"]
         assert rows.expansion_ratio["my planner"] == pytest.approx(expected, abs=1e-5)
         assert rows.opt["my planner"] == rows.opt["BFS"]
-    page = (tmp_path / "planner_tables.md").read_text()
-    assert "| limit | my planner |" in page
+    printed = capsys.readouterr().out
+    assert printed.count("| limit |") == 3  # the table of the set, after each of three commands
+    assert printed.count("| my planner |") == 2
 
     problems = ProblemSet.sample("maze", 77, until_hard=5, movement=Movement(8))
     table = evaluate(classical(Movement(8)), problems)
@@ -122,7 +125,7 @@ def test_the_row_without_a_network_is_measured_alone(
         [row[column] for column in columns], abs=1e-6
     )
     tables.main(["--folder", str(tmp_path), "--set", "maze-hard-5"])
-    page = (tmp_path / "planner_tables.md").read_text()
+    page = (tmp_path / "planners.md").read_text()
     opt, expansions = difference["opt_difference"], difference["expansion_ratio_difference"]
     assert f"| {opt:+.3f} [" in page
     assert f"| {expansions:+.3f} [" in page
@@ -179,19 +182,39 @@ def test_rows_of_other_problems_are_dropped(tables: ModuleType, tmp_path: Path) 
     assert Results.read(tmp_path / "results.json") == results
 
 
-def test_the_pages_are_made_from_the_file_of_results(
+def test_the_page_is_made_from_the_file_of_results(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Writing them again changes nothing."""
     monkeypatch.syspath_prepend(str(DOCS))
     import planner_tables
 
-    names = ("planner_results.json", "planner_tables.md", "planners.md")
+    names = ("planner_results.json", "planners.md")
     for name in names:
         shutil.copy(DOCS / name, tmp_path / name)
     planner_tables.main(["--pages", "--folder", str(tmp_path)])
     for name in names:
         assert (tmp_path / name).read_text() == (DOCS / name).read_text(), name
+
+
+def test_the_table_of_transfer_is_printed(
+    tables: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From the file of results, without a training: Hmean of each network on each family."""
+    shutil.copy(DOCS / "planner_results.json", tmp_path)
+    tables.main(["--transfer", "--pages", "--folder", str(tmp_path)])
+    head, _, *lines = capsys.readouterr().out.splitlines()
+    families = [cell.strip() for cell in head.split("|")[2:-1]]
+    hmeans = {
+        (row["planner"], row["set"]): row["hmean"]
+        for row in json.loads((DOCS / "planner_results.json").read_text())["rows"]
+    }
+    assert len(lines) == 9
+    for line in lines:
+        name, *cells = (cell.strip() for cell in line.split("|")[1:-1])
+        planner = tables.NO_NETWORK if name == "no network" else f"small network trained on {name}"
+        for family, cell in zip(families, cells, strict=True):
+            assert cell == f"{hmeans[planner, tables.TRANSFER_SETS[family]]:.3f}"
 
 
 def test_windows_of_maps_give_hard_problems(tables: ModuleType, tmp_path: Path) -> None:
