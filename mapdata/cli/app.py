@@ -451,6 +451,9 @@ VERBS: dict[str, Command] = {
 FORMAT_FLAGS = {"import": convert.add_import_flags, "export": export.add_export_flags}
 """Functions that add the flags of foreign formats to a verb's parser."""
 
+OPTIONAL: dict[str, dict[str, object]] = {"evaluate": {"problems": []}}
+"""Positional arguments of verbs that may be left out, with their defaults."""
+
 WITHOUT_FAMILIES = ("import", "check-scen")
 """Verbs that use no family of maps, and so have no flag ``--import``."""
 
@@ -483,7 +486,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 def verb_parser(verb: str) -> Parser:
     """Return the parser of a verb's arguments."""
-    parser = parser_of(VERBS[verb], f"mapdata {verb}")
+    parser = parser_of(VERBS[verb], f"mapdata {verb}", **OPTIONAL.get(verb, {}))
     if verb in FORMAT_FLAGS:
         FORMAT_FLAGS[verb](parser)
     if verb not in WITHOUT_FAMILIES:

@@ -8,7 +8,8 @@ import re
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -39,6 +40,7 @@ SHORT_COLUMNS = ("success", "opt", "cost_ratio", "expansion_ratio", "ms")
 def evaluate_command(
     problems: list[str],
     *,
+    suite: str | None = None,
     planner: list[str] | None = None,
     full: bool = False,
     seed: int | None = None,
@@ -61,11 +63,15 @@ def evaluate_command(
       mapdata evaluate dungeon.npz --planner my_module:MyPlanner
       mapdata evaluate dungeon --seed 4711 --planner ada:Planner --planner bob:Planner
       mapdata evaluate data/site --split train --per-map 100 --radius 0.3
+      mapdata evaluate --suite carry-over-1 --planner my_module:MyPlanner --json mine.json
 
     Args:
         problems: a file that ProblemSet.save wrote, or problems of others as .scen, .npz or .npy;
             or datasets, of whose test splits each map gives a random problem; or a preset that
-            'mapdata list' describes, of which new maps give one each
+            'mapdata list' describes, of which new maps give one each; with --suite, names of its
+            parts (default: all)
+        suite: a frozen suite, carry-over-1, whose tables can be compared with those of others; see
+            docs/suite.md
         planner: MODULE:NAME of your own planner; may be repeated. The module may be a file in the
             working folder. NAME is a planner, or a class or function that returns one; it gets a
             mapdata.Movement if it takes an argument
@@ -83,7 +89,7 @@ def evaluate_command(
         json: write the table to a JSON file, as a list of rows
         figure: draw cost ratio against expansions to this file
     """
-    from mapdata.evaluation import classical
+    from mapdata.evaluation import SUITE_MOVEMENT, classical, evaluate_suite, suite_to_text
     from mapdata.generators import PRESETS
     from mapdata.problems.problem_set import DEFAULT_PROBLEMS
 
@@ -94,6 +100,27 @@ def evaluate_command(
         check_picture_ending(figure)
     movement = Movement(connectivity, corner_cutting, diagonal_cost)
     own = [own_planner(reference, "--planner") for reference in planner or ()]
+    if suite is not None:
+        chosen = {
+            "--seed": seed,
+            "--maps": maps,
+            "--per-map": per_map != 1,
+            "--split": split,
+            "--radius": radius,
+            "--connectivity, --corner-cutting, --diagonal-cost": movement != SUITE_MOVEMENT,
+            "--figure": figure,
+        }
+        for flag, value in chosen.items():
+            if value:
+                raise ValueError(f"{flag}: has no effect on a suite, leave it out")
+        with _errors_of(own):
+            rows = [make_planner(movement) for make_planner in own]
+            table = evaluate_suite(rows, suite, parts=problems, full=full, progress=True)
+        print(suite_to_text(table))
+        write_table(table, None, json)
+        return
+    if not problems:
+        raise ValueError("expected PROBLEMS: a file, datasets, a preset, or --suite NAME")
     root, preset = problems, None
     if len(problems) == 1 and not Path(problems[0]).exists():
         if problems[0] in PRESETS:
@@ -119,7 +146,7 @@ def evaluate_command(
     movement = problem_set.movement
     others = classical(movement, terrain=problem_set.terrain is not None)
     shown = others if full else [row for row in others if row.name in SHORT_TABLE]
-    try:
+    with _errors_of(own):
         # One's own planners come first, so that their errors do.
         own_rows = [make_planner(movement) for make_planner in own]
         compare_planners(
@@ -130,6 +157,19 @@ def evaluate_command(
             json=json,
             figure=figure,
         )
+    if not full:
+        print(f"\n--full shows {len(others) - len(shown)} more classical planners, and all columns")
+
+
+@contextmanager
+def _errors_of(own: Sequence[object]) -> Iterator[None]:
+    """Say in one line what the code of a user raised, below the lines where it did.
+
+    Args:
+        own: the planners of a user; without any, errors stay as they are.
+    """
+    try:
+        yield
     except (Exception, SystemExit) as error:  # the code of a user may raise anything
         if not own:
             raise
@@ -142,8 +182,6 @@ def evaluate_command(
         if isinstance(error, TypeError) or notes:
             raise ValueError(f"{error}{notes}") from error
         raise
-    if not full:
-        print(f"\n--full shows {len(others) - len(shown)} more classical planners, and all columns")
 
 
 def compare_planners(

@@ -25,7 +25,14 @@ from mapdata.evaluation.planners import (
     Search,
     classical,
 )
-from mapdata.evaluation.suite import SUITE_MOVEMENT, SUITES, Part
+from mapdata.evaluation.suite import (
+    SUITE_MOVEMENT,
+    SUITES,
+    Part,
+    evaluate_suite,
+    suite_summary,
+    suite_to_text,
+)
 
 __all__ = [
     "METRICS",
@@ -49,9 +56,12 @@ __all__ = [
     "classical",
     "confidence_intervals",
     "evaluate",
+    "evaluate_suite",
     "median_interval",
     "prior",
     "score_paths",
+    "suite_summary",
+    "suite_to_text",
     "to_text",
     "with_interval",
 ]

@@ -6,12 +6,28 @@ A suite never changes. Its parts are drawn from a generator and a seed, and chec
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Literal
 
+import numpy as np
+import pandas as pd
+
+from mapdata.checks import check_choice
+from mapdata.evaluation.guided import CostPlanner, GuidedSearch
 from mapdata.evaluation.held_out import SHAPES, HeldOut
+from mapdata.evaluation.metrics import METRICS, Planner, evaluate, with_interval
+from mapdata.evaluation.planners import (
+    BestFirst,
+    GoalFieldAstar,
+    JumpPointSearch,
+    LandmarkAstar,
+    Limit,
+    Search,
+    VanillaAstar,
+    classical,
+)
 from mapdata.generators.generator import PRESETS, MapGenerator
 from mapdata.movement import Movement
 from mapdata.problems.problem_set import ProblemSet
@@ -28,6 +44,42 @@ _HARD_PROBLEMS = Random(hardness=(1.05, None), distance=(10, None))
 
 _LONG_PROBLEMS = Random(length=(25, None))
 """On terrain, where hardness says nothing."""
+
+NO_NETWORK = "guided search, no network"
+"""The row that the differences of a suite are from."""
+
+FIRST_ROWS = (
+    "A*",
+    "weighted A* (1.25)",
+    "weighted A* (2)",
+    "A* with 8 landmarks",
+    NO_NETWORK,
+    "limit",
+    "A* on mean cost",
+)
+"""The classical planners that are compared with, as far as they take the maps."""
+
+COUNTED = (
+    Search,
+    BestFirst,
+    JumpPointSearch,
+    LandmarkAstar,
+    GoalFieldAstar,
+    Limit,
+    VanillaAstar,
+    GuidedSearch,
+    CostPlanner,
+)
+"""The planners whose expansions mapdata counts itself. Those of any other class are its own word,
+and a class that inherits from one of these may count otherwise.
+"""
+
+_OF_COUNTS = ("expansion_ratio", "p_exp", "hmean")
+"""The metrics that need the number of expansions."""
+
+PART_COLUMNS = ("success", "opt", "cost_ratio", "expansion_ratio", "ms")
+SUMMARY_COLUMNS = ("opt", "opt_difference", "expansion_ratio", "expansion_ratio_difference")
+"""The columns that are printed, of a part and of the mean of several."""
 
 Group = Literal["in", "out", "terrain"]
 
@@ -129,3 +181,144 @@ def _seed_of(suite: str, part: str) -> int:
 
 SUITES: Mapping[str, tuple[Part, ...]] = MappingProxyType({"carry-over-1": _carry_over_1()})
 """The parts of each suite, by its name."""
+
+
+def evaluate_suite(
+    planners: Sequence[Planner],
+    name: str = "carry-over-1",
+    *,
+    parts: Sequence[str] | None = None,
+    full: bool = False,
+    bootstrap: int = 1000,
+    seed: int = 0,
+    progress: bool = False,
+) -> pd.DataFrame:
+    """Return the table of planners on the parts of a suite, beside the classical planners.
+
+    A row is a planner on a part. Its columns are ``part``, ``group`` ("in", "out" or "terrain"),
+    ``side`` (rows, and columns, of the maps), ``content_hash`` of the problems, and those of
+    `evaluate` for all problems of the part, with the differences from "guided search, no network".
+
+    Expansions are counted by the searches of mapdata alone: a network gives scores of moves to
+    `GuidedSearch` or costs of cells to `CostPlanner`. A planner of another class reports its own
+    number of expansions, which cannot be checked. So its columns of expansions, prepared cells and
+    looks are NaN, and its row has success, optimal paths, costs and times.
+
+    Args:
+        planners: those to compare, for `SUITE_MOVEMENT`; none gives the classical rows alone.
+        name: of the suite, one of `SUITES`.
+        parts: names of its parts; all by default.
+        full: compare with all planners of `classical` instead of a few.
+        bootstrap: number of resamples of the intervals.
+        seed: of the resamples.
+        progress: show a progress bar for each part.
+
+    Raises:
+        TypeError, ValueError: no such suite or part; a part whose problems are others than the
+            frozen ones; what `evaluate` refuses.
+        Exception: whatever a planner raises.
+    """
+    check_choice("name", name, SUITES)
+    of_suite = {part.name: part for part in SUITES[name]}
+    for part_name in parts or ():
+        check_choice("parts", part_name, of_suite)
+    tables = []
+    for part in [of_suite[part_name] for part_name in parts or of_suite]:
+        problems = part.problem_set()
+        others = [
+            planner
+            for planner in classical(SUITE_MOVEMENT, terrain=problems.has_terrain)
+            if full or planner.name in FIRST_ROWS
+        ]
+        rows = [*planners, *others]
+        table = evaluate(
+            rows,
+            problems,
+            difference_from=NO_NETWORK,
+            bootstrap=bootstrap,
+            seed=seed,
+            progress=progress,
+        )
+        table = table[table["subset"] == "all"].drop(columns="subset")
+        table = without_unchecked_counts(table, rows)
+        table.insert(0, "part", part.name)
+        table.insert(1, "group", part.group)
+        table.insert(2, "side", problems.map_size[0])
+        table.insert(3, "content_hash", part.content_hash)
+        tables.append(table)
+    return pd.concat(tables, ignore_index=True)
+
+
+def without_unchecked_counts(table: pd.DataFrame, planners: Sequence[Planner]) -> pd.DataFrame:
+    """Return a table of `evaluate` without the counts that only a planner itself vouches for.
+
+    They are NaN in the rows of planners whose class is none of `COUNTED`.
+
+    Args:
+        table: what `evaluate` returns.
+        planners: those of its rows.
+    """
+    unchecked = [planner.name for planner in planners if type(planner) not in COUNTED]
+    columns = [
+        column
+        for column in table.columns
+        if column.startswith(_OF_COUNTS) or column in ("prepared_ratio", "look_ratio")
+    ]
+    checked = table.copy()
+    checked[columns] = checked[columns].astype(float)
+    checked.loc[checked["planner"].isin(unchecked), columns] = np.nan
+    return checked
+
+
+def suite_summary(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the means over the families of each group and size, from a table of `evaluate_suite`.
+
+    A row is a planner on a group and size. Its columns are ``group``, ``side``, ``families`` (how
+    many the mean is over), ``planner``, the metrics of `evaluate`, their differences from "guided
+    search, no network", and the ends of their 95 % intervals.
+
+    The parts are independent, so an end of an interval is as far from the mean of K families as the
+    root of the sum of the squared distances in the parts, divided by K (MOVER: Zou and Donner,
+    Statistics in Medicine 27, 2008).
+    """
+    metrics = [*METRICS, *(f"{metric}_difference" for metric in METRICS)]
+    rows = []
+    for (group, side, planner), of_group in table.groupby(["group", "side", "planner"], sort=False):
+        row = {"group": group, "side": side, "families": len(of_group), "planner": planner}
+        for metric in metrics:
+            values = of_group[metric]
+            mean = values.mean(skipna=False)
+            below = np.sqrt(((values - of_group[f"{metric}_low"]) ** 2).sum()) / len(values)
+            above = np.sqrt(((of_group[f"{metric}_high"] - values) ** 2).sum()) / len(values)
+            row[metric] = mean
+            row[f"{metric}_low"] = mean - below
+            row[f"{metric}_high"] = mean + above
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def suite_to_text(table: pd.DataFrame) -> str:
+    """Return a table of `evaluate_suite` as text: a block for each part, and then the summary.
+
+    Each figure is followed by half the width of its interval, and is "-" where it is not known.
+    """
+    blocks = []
+    for part, rows in table.groupby("part", sort=False):
+        first = rows.iloc[0]
+        heading = f"{part} ({first['group']}): {first['n']} problems, set {first.content_hash[:12]}"
+        blocks.append(f"{heading}\n{_text_of(rows, PART_COLUMNS)}")
+    for (group, side), rows in suite_summary(table).groupby(["group", "side"], sort=False):
+        count = rows["families"].iloc[0]
+        families = f"mean of {count} families" if count > 1 else "one family"
+        heading = f"{group}, {side} x {side} cells: {families}"
+        heading += f"; differences from {NO_NETWORK!r}"
+        blocks.append(f"{heading}\n{_text_of(rows, SUMMARY_COLUMNS)}")
+    return "\n\n".join(blocks)
+
+
+def _text_of(rows: pd.DataFrame, columns: Sequence[str]) -> str:
+    """Return some columns of rows as text, each with half the width of its interval."""
+    text = pd.DataFrame({"planner": rows["planner"]})
+    for column in columns:
+        text[column] = with_interval(rows, column)
+    return text.to_string(index=False)

@@ -16,6 +16,7 @@ from mapdata import MapSpec, Movement, ProblemSet, Random, build, evaluate
 from mapdata.cli import main
 from mapdata.cli.evaluate import SHORT_TABLE
 from mapdata.evaluation import TIMES, classical
+from mapdata.evaluation.suite import FIRST_ROWS
 
 DUNGEON = MapSpec.preset("dungeon")
 
@@ -297,6 +298,20 @@ def test_every_planner_of_ones_own_is_a_row(
     assert "nan" not in out
 
 
+def test_a_part_of_a_suite(module: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """The file has the rows of `evaluate_suite`; a search of one's own has no expansions."""
+    flags = ["--suite", "carry-over-1", "--planner", f"{module}:Mine", "--json", "a.json"]
+    main(["evaluate", "shelves-64", *flags])
+    rows = rows_of(Path("a.json"))
+    assert [row["planner"] for row in rows] == [
+        "mine",
+        *(planner.name for planner in classical(Movement(8)) if planner.name in FIRST_ROWS),
+    ]
+    assert {row["part"] for row in rows} == {"shelves-64"}
+    assert (rows[0]["opt"], rows[0]["expansion_ratio"]) == (1, None)
+    assert "shelves-64 (out): 200 problems, set 104e9ae304d2" in capsys.readouterr().out
+
+
 def test_a_seed_of_ones_own_gives_other_problems(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -371,6 +386,18 @@ def test_the_figure_is_written(module: str) -> None:
                 *("--planner", "own_planners:make"),
             ],
             "planners: several are named mine, expected different names",
+        ),
+        ([], "expected PROBLEMS: a file, datasets, a preset, or --suite NAME"),
+        (["--suite", "carry-over"], "name: got 'carry-over', expected"),
+        (["bars-65", "--suite", "carry-over-1"], "parts: got 'bars-65', expected"),
+        (["--suite", "carry-over-1", "--seed", "1"], "--seed: has no effect on a suite"),
+        (
+            ["--suite", "carry-over-1", "--connectivity", "4"],
+            "--connectivity, --corner-cutting, --diagonal-cost: has no effect on a suite",
+        ),
+        (
+            ["bars-64", "--suite", "carry-over-1", "--planner", "own_planners:ReturnsAList"],
+            "lists: plan returned list, expected a mapdata.Plan(path, expansions)",
         ),
         (["dungeon", "--seed", "1", "--seed", "2"], "--seed: given twice, expected once"),
     ],
