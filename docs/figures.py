@@ -200,7 +200,7 @@ def hard_problems(fields: tuple[Any, ...]) -> list[Any]:
 
 def prediction(axes: Axes, sample: Any) -> None:
     """Draw the path that the shipped network predicts over a shortest one."""
-    from mapdata.models.path_predictor import PathPredictor
+    from mapdata.models.pretrained.path_predictor import PathPredictor
 
     model = PathPredictor.pretrained()
     grid, start, goal = (np.asarray(sample[k]).astype(np.int64) for k in range(3))
@@ -547,8 +547,8 @@ SAMPLERS = {
 def sampler_table() -> pd.DataFrame:
     """Compare samplers of roadmaps on the problems of 300 maps of seed 77."""
     from mapdata.models.evaluate import learned_samplers
-    from mapdata.models.lego.comparison import compare, contenders
-    from mapdata.models.model import WEIGHTS
+    from mapdata.models.pretrained.model import WEIGHTS
+    from mapdata.roadmaps import compare, contenders
 
     rows = contenders(learned_samplers(WEIGHTS))
     problems = ProblemSet.sample(DUNGEON, seed=77, maps=300, movement=DIAGONAL)
@@ -588,9 +588,8 @@ def samplers() -> Figure:
 
 def roadmaps() -> Figure:
     """Show the roadmaps of two samplers on one problem, the first hard one."""
-    from mapdata.models.lego.comparison import contenders
-    from mapdata.models.lego.roadmap import roadmap_between
-    from mapdata.models.lego.sampler import Heatmap
+    from mapdata.models.pretrained.lego.sampler import Heatmap
+    from mapdata.roadmaps import contenders, roadmap_between
 
     rows = contenders({"lego_heatmap": Heatmap.pretrained()})
     problems = ProblemSet.sample(DUNGEON, seed=77, maps=12, movement=DIAGONAL)

@@ -36,7 +36,7 @@ from mapdata import (
 from mapdata.arrays import Bytes
 from mapdata.evaluation import score_paths
 from mapdata.models import CostPredictor
-from mapdata.models.cost_predictor import TRAINING_FIELDS
+from mapdata.models.pretrained.cost_predictor import TRAINING_FIELDS
 from mapdata.search import BatchResult
 from mapdata.shards import write_output
 

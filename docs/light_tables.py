@@ -32,7 +32,7 @@ from scipy.ndimage import gaussian_filter
 from mapdata import ProblemSet, ProblemSetDataset, Tiles
 from mapdata.arrays import Bytes, Floats
 from mapdata.models import CostPredictor
-from mapdata.models.model import WEIGHTS
+from mapdata.models.pretrained.model import WEIGHTS
 from mapdata.shards import write_output
 
 RESULTS = Path(__file__).parent / "light_results.json"

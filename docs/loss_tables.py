@@ -40,7 +40,7 @@ from torch import Tensor
 from mapdata import ProblemSet, Sample, search_batch, terrain_from_costs
 from mapdata.arrays import Bytes, Floats, Ints
 from mapdata.models import CostPredictor
-from mapdata.models.cost_predictor import BETAS, centred
+from mapdata.models.pretrained.cost_predictor import BETAS, centred
 from mapdata.shards import write_output
 
 BEGIN, END = "<!-- losses -->", "<!-- end of losses -->"

@@ -53,8 +53,8 @@ from mapdata.evaluation import (
 from mapdata.limits import Cell
 from mapdata.models import NeuralAstar, PathPredictor, fast_precision
 from mapdata.models.evaluate import SHIPPED, load_weights
-from mapdata.models.mixed_batches import MixedBatches
-from mapdata.models.path_predictor import TRAINING_FIELDS
+from mapdata.models.pretrained.mixed_batches import MixedBatches
+from mapdata.models.pretrained.path_predictor import TRAINING_FIELDS
 from mapdata.movement import NEURAL_ASTAR
 from mapdata.shards import write_output
 

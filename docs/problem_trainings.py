@@ -37,7 +37,7 @@ from torch import Tensor
 from mapdata import Movement, OnlineMapDataset, ProblemSet, Random, check_path
 from mapdata.arrays import Bytes, Float32s, Floats, Ints
 from mapdata.evaluation import BatchPlanner, classical, confidence_intervals
-from mapdata.models.layers import Trunk
+from mapdata.models.pretrained.layers import Trunk
 from mapdata.problems.sources import SourceLike
 from mapdata.search import STEPS
 

@@ -35,7 +35,7 @@ from mapdata import (
 )
 from mapdata.evaluation import TIMES, GuidedSearch, Planner, classical
 from mapdata.models import MixedBatches, PathPredictor, fast_precision
-from mapdata.models.path_predictor import TRAINING_FIELDS
+from mapdata.models.pretrained.path_predictor import TRAINING_FIELDS
 
 MOVEMENT = Movement(8)
 

@@ -35,7 +35,7 @@ from mapdata import (
 )
 from mapdata.arrays import Bytes, Flags, Floats
 from mapdata.models import PathPredictor
-from mapdata.models.model import WEIGHTS
+from mapdata.models.pretrained.model import WEIGHTS
 from mapdata.shards import write_output
 
 PAGE = Path(__file__).parent / "howto" / "waypoints.md"

@@ -1,22 +1,16 @@
-"""Sample models to use, to read and to copy, imported as ``mapdata.models``.
+"""Models: samples to read and to copy, and models to call, imported as ``mapdata.models``.
 
-- ``path_predictor.py``: a CNN that predicts the moves of shortest paths.
-- ``neural_astar.py``: Neural A* in one file.
-- ``cost_predictor.py``: a CNN that reads the costs of terrain from images, taught by paths.
-- ``learned_planners.py``: the planners of a model, as rows of a table, and their validation.
-- ``lego/``: a sampler that learns where a roadmap needs its vertices.
+To read, from top to bottom; each trains, predicts and compares itself in one file:
 
-They share six files:
+- ``path_predictor.py``: a CNN path predictor, which predicts the moves of shortest paths.
+- ``lego_sampler.py``: a LEGO-style sampler, which learns where a roadmap needs its vertices.
 
-- ``layers.py``: the layers of the networks.
-- ``geometry.py``: distances, heuristics and legal moves on tensors of maps.
-- ``symmetries.py``: the eight symmetries of a square map.
-- ``optimizer.py``: Muon, and the schedule of its learning rate.
-- ``model.py``: the training step, and saving and loading weights.
-- ``mixed_batches.py``: batches of several families in one training step.
+To call, with weights, options and checks; their names are below:
 
-``train.py`` and ``evaluate.py`` are the command lines; ``configs/`` has the arguments of the
-trainings, ``weights/`` what they gave.
+- ``pretrained/``: `PathPredictor`, `CostPredictor`, `Heatmap` and `CVAE`, their weights, and the
+  files that they share.
+- ``neural_astar.py``: Neural A*, without weights.
+- ``train.py`` and ``evaluate.py``: the command lines that train and compare these.
 
 In a checkout this folder lies beside ``mapdata/``, whose entry ``models`` is a link to it. So it
 has the name ``mapdata.models`` everywhere. The names below are imported on first use.
@@ -33,34 +27,38 @@ if __name__ != "mapdata.models":
     raise ImportError(f"{__name__}: this folder is imported as mapdata.models, and as nothing else")
 
 if TYPE_CHECKING:
-    from .cost_predictor import CostPredictor as CostPredictor
-    from .learned_planners import GuidedSearch as GuidedSearch
-    from .learned_planners import LearnedPlanner as LearnedPlanner
-    from .learned_planners import planners as planners
-    from .lego.cvae import CVAE as CVAE
-    from .lego.sampler import Heatmap as Heatmap
-    from .lego.sampler import Sampler as Sampler
-    from .mixed_batches import MixedBatches as MixedBatches
-    from .model import Model as Model
-    from .model import fast_precision as fast_precision
-    from .model import load_model as load_model
+    from .lego_sampler import LegoSampler as LegoSampler
     from .neural_astar import NeuralAstar as NeuralAstar
-    from .path_predictor import PathPredictor as PathPredictor
+    from .path_predictor import MovePredictor as MovePredictor
+    from .pretrained.cost_predictor import CostPredictor as CostPredictor
+    from .pretrained.learned_planners import GuidedSearch as GuidedSearch
+    from .pretrained.learned_planners import LearnedPlanner as LearnedPlanner
+    from .pretrained.learned_planners import planners as planners
+    from .pretrained.lego.cvae import CVAE as CVAE
+    from .pretrained.lego.sampler import Heatmap as Heatmap
+    from .pretrained.lego.sampler import Sampler as Sampler
+    from .pretrained.mixed_batches import MixedBatches as MixedBatches
+    from .pretrained.model import Model as Model
+    from .pretrained.model import fast_precision as fast_precision
+    from .pretrained.model import load_model as load_model
+    from .pretrained.path_predictor import PathPredictor as PathPredictor
 
 _MODULES = {
-    "CVAE": "lego.cvae",
-    "CostPredictor": "cost_predictor",
-    "GuidedSearch": "learned_planners",
-    "Heatmap": "lego.sampler",
-    "LearnedPlanner": "learned_planners",
-    "MixedBatches": "mixed_batches",
-    "Model": "model",
+    "CVAE": "pretrained.lego.cvae",
+    "CostPredictor": "pretrained.cost_predictor",
+    "GuidedSearch": "pretrained.learned_planners",
+    "Heatmap": "pretrained.lego.sampler",
+    "LearnedPlanner": "pretrained.learned_planners",
+    "LegoSampler": "lego_sampler",
+    "MixedBatches": "pretrained.mixed_batches",
+    "Model": "pretrained.model",
+    "MovePredictor": "path_predictor",
     "NeuralAstar": "neural_astar",
-    "PathPredictor": "path_predictor",
-    "Sampler": "lego.sampler",
-    "fast_precision": "model",
-    "load_model": "model",
-    "planners": "learned_planners",
+    "PathPredictor": "pretrained.path_predictor",
+    "Sampler": "pretrained.lego.sampler",
+    "fast_precision": "pretrained.model",
+    "load_model": "pretrained.model",
+    "planners": "pretrained.learned_planners",
 }
 """The module that each public name is imported from."""
 

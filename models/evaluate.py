@@ -18,7 +18,7 @@ The planners include pretrained path predictors for 4-connected movement, and fo
 movement whose diagonal moves cost sqrt(2), with and without --corner-cutting. For another movement,
 name your own weights with --weights.
 
-The samplers include the pretrained ones in models/weights: lego_*.pt and shortest_path_*.pt. A
+The samplers include the pretrained ones, lego_*.pt and shortest_path_*.pt of pretrained/weights. A
 roadmap has n vertices in all. Half of them are Halton points, except in the rows halton and
 uniform, and in the rows whose names end in _alone.
 """
@@ -50,14 +50,14 @@ from mapdata.cli import (
 from mapdata.movement import Movement
 from mapdata.plotting import write_figure
 
-from .command_line import run_named_command
-from .learned_planners import planners
-from .model import WEIGHTS, load_model
 from .neural_astar import NeuralAstar
-from .path_predictor import PathPredictor
+from .pretrained.command_line import run_named_command
+from .pretrained.learned_planners import planners
+from .pretrained.model import WEIGHTS, load_model
+from .pretrained.path_predictor import PathPredictor
 
 if TYPE_CHECKING:
-    from .lego.sampler import Sampler
+    from .pretrained.lego.sampler import Sampler
 
 SHIPPED = {Movement(8): "eight", Movement(8, corner_cutting=True): "cut", Movement(4): "four"}
 """The names of the pretrained path predictors, by their movement."""
@@ -191,7 +191,7 @@ def evaluate_samplers(
         figure: draw success against the number of vertices to this file
         weights: folder of the trained samplers (default: the pretrained ones)
     """
-    from .lego.comparison import SIZES, compare, contenders, plot_success, to_text
+    from mapdata.roadmaps import SIZES, compare, contenders, plot_success, to_text
 
     check_outputs(csv, json, figure)
     if weights is not None and not Path(weights).is_dir():
@@ -217,8 +217,8 @@ def evaluate_samplers(
 
 def learned_samplers(folder: Path) -> dict[str, Sampler]:
     """Return the samplers whose weights are in a folder, by the names of their files."""
-    from .lego.cvae import CVAE
-    from .lego.sampler import Heatmap
+    from .pretrained.lego.cvae import CVAE
+    from .pretrained.lego.sampler import Heatmap
 
     files = sorted([*folder.glob("lego_*.pt"), *folder.glob("shortest_path_*.pt")])
     return {printable(file.stem): load_model(file, Heatmap, CVAE) for file in files}

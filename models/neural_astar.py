@@ -39,9 +39,9 @@ from mapdata.arrays import Bytes, Ints
 from mapdata.evaluation import Plan
 from mapdata.search import STEPS
 
-from .geometry import cell_numbers, check_problems, heuristic, legal_moves, offsets
-from .learned_planners import LearnedPlanner
-from .model import Tensors
+from .pretrained.geometry import cell_numbers, check_problems, heuristic, legal_moves, offsets
+from .pretrained.learned_planners import LearnedPlanner
+from .pretrained.model import Tensors
 
 TRAINING_FIELDS = ("map", "start", "goal", "optimal_moves")
 """The fields of a training batch."""

@@ -7,7 +7,7 @@ NAME is one of
     lego_sampler            the sampler of docs/samplers.md
     cost_predictor          the model of docs/costs.md, which predicts costs from images
 
-The default arguments are in configs/NAME.yaml beside this file. Each of them is also a flag:
+The default arguments are in pretrained/configs/NAME.yaml. Each of them is also a flag:
 
     python -m mapdata.models.train path_predictor fit --help
 
@@ -46,8 +46,7 @@ terrain relative to the optimal cost, minus 1, and val_opt, the share of optimal
 
 Samplers
 --------
-The pretrained weights, in models/weights, were made by these commands. The heat maps learned from
-six families of maps:
+The pretrained weights were made by these commands. The heat maps learned from six families of maps:
 
     T="python -m mapdata.models.train lego_sampler"
     for family in dungeon narrow cave forest noise; do
@@ -104,12 +103,12 @@ from mapdata.cli import print_all_letters
 from mapdata.interrupts import stoppable
 
 from . import neural_astar  # noqa: F401  (registers the class, so that --model finds it by its name)
-from .command_line import run_named_command
-from .cost_predictor import CostPredictor
-from .learned_planners import LearnedPlanner
-from .model import Model, fast_precision
+from .pretrained.command_line import run_named_command
+from .pretrained.cost_predictor import CostPredictor
+from .pretrained.learned_planners import LearnedPlanner
+from .pretrained.model import Model, fast_precision
 
-CONFIGS = Path(__file__).parent / "configs"
+CONFIGS = Path(__file__).parent / "pretrained" / "configs"
 """The folder of the files of arguments."""
 
 
@@ -262,8 +261,8 @@ def train_lego_sampler(arguments: ArgsType = None) -> None:
     Raises:
         ModuleNotFoundError: scipy is not installed.
     """
-    from .lego import cvae  # noqa: F401  (registers the class, so that --model finds it)
-    from .lego.sampler import Sampler
+    from .pretrained.lego import cvae  # noqa: F401  (registers the class, so that --model finds it)
+    from .pretrained.lego.sampler import Sampler
 
     # Sampler is abstract: --model takes one of its subclasses.
     TrainingCli(Sampler, ["lego_sampler.yaml"], arguments)  # type: ignore[type-abstract]

@@ -1,6 +1,9 @@
-"""Train a planner: python scripts/train_path_predictor.py fit --weights FILE.
+"""Train a path predictor: python scripts/train_path_predictor.py [ROOT] [--weights FILE].
 
-`mapdata.models.train` describes the arguments.
+It trains the sample of models/path_predictor.py. With --product first it trains the models of
+models/pretrained/, whose arguments `mapdata.models.train` describes:
+
+    python scripts/train_path_predictor.py --product fit --weights FILE
 """
 
 from __future__ import annotations
@@ -10,12 +13,20 @@ from mapdata.interrupts import exit_on_interrupt
 if __name__ == "__main__":
     exit_on_interrupt()  # before the imports, which take seconds
 
-from mapdata.models.train import train_path_predictor
+import sys
+
+from mapdata.models import path_predictor, train
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; None takes the arguments of the process."""
-    train_path_predictor(arguments)
+    words = sys.argv[1:] if arguments is None else arguments
+    if words[:1] != ["--product"]:
+        path_predictor.main(arguments)
+        return
+    if arguments is None:  # Lightning's command line reads the arguments of the process
+        del sys.argv[1]
+    train.train_path_predictor(None if arguments is None else words[1:])
 
 
 if __name__ == "__main__":

@@ -86,12 +86,15 @@ def console_script() -> list[str]:
         pytest.param("matplotlib", ["scripts/evaluate_planners.py"], [], marks=pytest.mark.slow),
         pytest.param("matplotlib", ["scripts/evaluate_sampler.py"], [], marks=pytest.mark.slow),
         pytest.param(
-            "pytorch_lightning", ["scripts/train_lego_sampler.py"], ["fit"], marks=pytest.mark.slow
+            "pytorch_lightning",
+            ["scripts/train_lego_sampler.py"],
+            ["--product", "fit"],
+            marks=pytest.mark.slow,
         ),
         pytest.param(
             "pytorch_lightning",
             ["scripts/train_path_predictor.py"],
-            ["fit"],
+            [],
             marks=pytest.mark.slow,
         ),
         ("pytorch_lightning", ["-m", "mapdata.models.train"], ["path_predictor", "fit"]),

@@ -22,9 +22,9 @@ The legal moves, the heuristic and hardness are defined here. The corner rule is
 a loop needs it in another form, and each copy states its reason: `flood`, `first_bad_cell`,
 `best_first_buckets` and `shortest_costs` in kernels.py; `shortest_terrain_costs` in terrain.py; the
 diagonal scan and the table of kept moves in jump_points.py; the moves by costs in
-datasets/field_kernels.py; on tensors, `legal_moves` in models/geometry.py; and order.py and
-predicted_moves.py, whose searches work on rows and columns so that they can be read without this
-module. Tests compare all of them with the slow reference.
+datasets/field_kernels.py; on tensors, `legal_moves` in models/pretrained/geometry.py; and order.py
+and predicted_moves.py, whose searches work on rows and columns so that they can be read without
+this module. Tests compare all of them with the slow reference.
 """
 
 from __future__ import annotations

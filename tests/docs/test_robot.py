@@ -19,7 +19,7 @@ from PIL import Image
 
 from mapdata import Forest, Movement, ProblemSet, astar, check_path, inflate
 from mapdata.formats import read_any
-from mapdata.models.path_predictor import PathPredictor
+from mapdata.models.pretrained.path_predictor import PathPredictor
 
 PAGE = DOCS / "howto" / "robot.md"
 MISSING = [name for name in ("onnxruntime", "onnxscript") if not importlib.util.find_spec(name)]

@@ -108,9 +108,11 @@ def converted() -> None:
 
 
 def script() -> None:
-    """Take one training step of a sample model, by its command line."""
+    """Take one training step of a path predictor, by its command line."""
     file = str(CHECKOUT / "scripts" / "train_path_predictor.py")
-    subprocess.run([sys.executable, file, "fit", "--trainer.fast_dev_run", "true"], check=True)
+    subprocess.run(
+        [sys.executable, file, "--product", "fit", "--trainer.fast_dev_run", "true"], check=True
+    )
 
 
 def parquet() -> None:

@@ -22,7 +22,7 @@ import fsspec.implementations.http  # noqa: F401
 from mapdata import MapDataset, ProblemSet
 from mapdata.formats import read_any
 from mapdata.generators import as_recipe
-from mapdata.models.path_predictor import PathPredictor
+from mapdata.models.pretrained.path_predictor import PathPredictor
 from mapdata.shards import open_shard, read_manifest
 
 

@@ -13,12 +13,12 @@ import pytest
 from mapdata import models
 from mapdata.evaluation import GuidedSearch
 from mapdata.models import CVAE, CostPredictor, Heatmap, Model, NeuralAstar, PathPredictor, evaluate
-from mapdata.models.model import WEIGHTS
+from mapdata.models.pretrained.model import WEIGHTS
 
 FOLDER = Path(models.__file__).parent
 
 
-@pytest.mark.parametrize("name", ["models", "models.geometry", "models.lego.roadmap"])
+@pytest.mark.parametrize("name", ["models", "models.train", "models.pretrained.lego.sampler"])
 def test_the_folder_has_one_import_name(
     name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -133,18 +133,18 @@ def test_only_samplers_need_scipy(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Without it their command is one line that names the extra."""
-    for file in FOLDER.glob("*.py"):
+    for file in FOLDER.rglob("*.py"):
         assert "import scipy" not in file.read_text(encoding="utf-8")
         assert "from scipy" not in file.read_text(encoding="utf-8")
-    for name in [name for name in sys.modules if name.startswith("mapdata.models.lego")]:
+    for name in [name for name in sys.modules if name.startswith("mapdata.roadmaps")]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delattr(models, "lego", raising=False)
+    monkeypatch.delattr("mapdata.roadmaps", raising=False)
     monkeypatch.setitem(sys.modules, "scipy", None)
     with pytest.raises(SystemExit) as exited:
         evaluate.main(["samplers", "--maps", "2"])
     assert exited.value.code == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.endswith("needs scipy, the extra [examples]: pip install scipy")
+    assert line.endswith("roadmaps need scipy, the extra [examples]: pip install scipy")
 
 
 @pytest.mark.parametrize(

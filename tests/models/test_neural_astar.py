@@ -27,9 +27,9 @@ from mapdata.arrays import Bytes
 from mapdata.evaluation import classical
 from mapdata.limits import Cell
 from mapdata.models import neural_astar
-from mapdata.models.model import load_model
 from mapdata.models.neural_astar import TRAINING_FIELDS, NeuralAstar
-from mapdata.models.path_predictor import PathPredictor
+from mapdata.models.pretrained.model import load_model
+from mapdata.models.pretrained.path_predictor import PathPredictor
 from mapdata.movement import NEURAL_ASTAR
 from mapdata.search import STEPS
 

@@ -27,8 +27,8 @@ from torch import nn
 
 from mapdata import Movement, Terrain, build
 from mapdata.limits import SPLITS
-from mapdata.models.model import load_model
-from mapdata.models.path_predictor import PathPredictor
+from mapdata.models.pretrained.model import load_model
+from mapdata.models.pretrained.path_predictor import PathPredictor
 from mapdata.shards import MANIFEST, read_manifest
 
 MOST = 200 << 20

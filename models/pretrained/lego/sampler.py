@@ -14,11 +14,11 @@ A model that is trained on paths samples where paths run. LEGO (Kumar, Mandalika
 Srinivasa, "LEGO: Leveraging Experience in Roadmap Generation for Sampling-Based Planning", IROS
 2019) needs only the bottlenecks of paths, which a sparse roadmap cannot do without.
 ``targets="lego"`` takes them from the bank of experience of
-`mapdata.models.lego.experience.FixedProblems`, whose batches must have the fields
+`mapdata.models.pretrained.lego.experience.FixedProblems`, whose batches must have the fields
 ``TRAINING_FIELDS``. The pretrained weights were trained in this way, by the commands in train.py:
 
     points = Heatmap.pretrained().sample(grid, start, goal, 25)
-    roadmap = roadmap_between(grid, start, goal, points)  # of models/lego/roadmap.py
+    roadmap = roadmap_between(grid, start, goal, points)  # of mapdata.roadmaps
 
 This file reads from top to bottom: what the network sees; targets, training and sampling, which all
 samplers share; the network, loss and prediction of the heat map. The layers, symmetries and the
@@ -48,6 +48,7 @@ from mapdata.checks import (
     check_number,
     check_resolution,
 )
+from mapdata.roadmaps import path_lengths, sample_half_halton
 
 from ..geometry import cell_numbers, check_problems, offsets
 from ..layers import Trunk, padded
@@ -145,7 +146,7 @@ class Sampler(Model):
         if not isinstance(data, FixedProblems) or data.bank is None:
             raise ValueError(
                 f"targets: got {self.targets!r}, which need a bank of experience: expected data of "
-                "mapdata.models.lego.experience.FixedProblems with a folder for it, or "
+                "mapdata.models.pretrained.lego.experience.FixedProblems with a folder for it, or "
                 "targets='path'"
             )
         self.bank = data.bank
@@ -171,7 +172,15 @@ class Sampler(Model):
         return self.loss(fields, points, owners)
 
     def validation_step(self, batch: Sample, batch_idx: int) -> None:
-        """Do nothing: the callback `RoadmapSuccess` of comparison.py validates samplers."""
+        """Log ``val_success``: the share of problems that roadmaps of 50 vertices solve.
+
+        As in the table of docs/samplers.md, half of the vertices are Halton's.
+        """
+        fields = (batch.map[:, 0], batch.start, batch.goal)
+        grids, starts, goals = (field.cpu().numpy() for field in fields)
+        points = sample_half_halton(self, grids, starts, goals, 50, range(len(grids)))
+        solved = np.isfinite(path_lengths(grids, starts, goals, points))
+        self.log("val_success", solved.mean(), batch_size=len(grids), prog_bar=True)
 
     def sample(
         self,

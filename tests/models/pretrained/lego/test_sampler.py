@@ -8,7 +8,7 @@ import itertools
 import json
 import math
 import runpy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -23,17 +23,8 @@ import torch
 from scipy.sparse.csgraph import dijkstra
 
 from mapdata import MapDataModule, MapSpec, Movement, ProblemSet, inflate
-from mapdata.models.lego.comparison import (
-    DENSE,
-    DENSE_SEED,
-    RoadmapSuccess,
-    compare,
-    contenders,
-    plot_success,
-    to_text,
-)
-from mapdata.models.lego.cvae import CVAE
-from mapdata.models.lego.experience import (
+from mapdata.models.pretrained.lego.cvae import CVAE
+from mapdata.models.pretrained.lego.experience import (
     MINED_TARGETS,
     Bank,
     FixedProblems,
@@ -42,17 +33,19 @@ from mapdata.models.lego.experience import (
     mine,
     near_optimal_paths,
 )
-from mapdata.models.lego.roadmap import (
+from mapdata.models.pretrained.lego.sampler import TRAINING_FIELDS, Heatmap, Sampler, encode, select
+from mapdata.models.pretrained.model import WEIGHTS, load_model
+from mapdata.roadmaps import (
     build_roadmap,
+    compare,
     connection_radius,
+    contenders,
     free_at,
     halton,
     segments_are_free,
 )
-from mapdata.models.lego.sampler import TRAINING_FIELDS, Heatmap, Sampler, encode, select
-from mapdata.models.model import WEIGHTS, load_model
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 SHIPPED = sorted([*WEIGHTS.glob("lego_*.pt"), *WEIGHTS.glob("shortest_path_*.pt")])
 DUNGEON = MapSpec.preset("dungeon")
 Points: TypeAlias = npt.NDArray[np.float64]
@@ -274,7 +267,9 @@ def test_the_bank_is_mined_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert module.bank is not None
     again = fixed_problems(30, experience=tmp_path)
     with monkeypatch.context() as patch:
-        patch.setattr("mapdata.models.lego.experience.mine", None)  # mining again would fail
+        patch.setattr(
+            "mapdata.models.pretrained.lego.experience.mine", None
+        )  # mining again would fail
         again.setup("fit")
         module.setup("fit")
     bank = again.bank
@@ -549,7 +544,7 @@ def test_a_small_model_learns_and_is_saved(model_class: type[Sampler], tmp_path:
     model = small_model(model_class, learning_rate=0.02)
     module.setup("fit")
     before = mean_loss(model.eval(), module)
-    run = trainer(tmp_path, max_epochs=-1, callbacks=[RoadmapSuccess()])
+    run = trainer(tmp_path, max_epochs=-1)
     run.fit(model.train(), module)
     assert 0 <= float(run.callback_metrics["val_success"]) <= 1
     after = mean_loss(model.eval(), module)
@@ -632,136 +627,14 @@ def test_a_batch_without_targets_has_a_finite_loss() -> None:
     assert math.isfinite(loss["loss"].item())
 
 
-# --- the table ----------------------------------------------------------------------------------
-
-
-def shortest(grid: npt.NDArray[np.uint8], problems: ProblemSet, k: int, points: Points) -> float:
-    """Return the length of the shortest path of problem k on a roadmap of these points."""
-    ends = [problems.starts[k] + 0.5, problems.goals[k] + 0.5]
-    max_length = connection_radius(len(points), grid.shape)
-    return build_roadmap(grid, np.concatenate([ends, points]), max_length).shortest_path()[0]
-
-
-@pytest.mark.slow
-def test_the_table_has_success_and_lengths_of_roadmaps() -> None:
-    """They are those of roadmaps that are built one by one, and lie in their intervals."""
-    problems = unseen_problems(40)
-    rows = contenders({"untrained": small_model(Heatmap)})
-    with_two_rows = ["gaussian", "bridge", "corners", "medial_axis", "untrained"]
-    alone = [f"{name}_alone" for name in with_two_rows]
-    assert set(rows) == {"halton", "uniform", *with_two_rows, *alone}
-    table = compare(rows, problems, [24, 50], bootstrap=50)
-    sizes = 2
-    subsets = 2
-    assert len(table) == len(rows) * sizes * subsets
-    assert set(table["problems"]) == {40, int(problems.hard.sum())}
-    assert (table["length_ratio"].isna() == (table["success"] == 0)).all()
-    solved_some = table[table["success"] > 0]
-    for metric in ("success", "length_ratio"):
-        assert (solved_some[f"{metric}_low"] <= solved_some[metric]).all()
-        assert (solved_some[f"{metric}_high"] >= solved_some[metric]).all()
-    assert "hard: " in to_text(table)
-
-    lengths = []
-    dense_lengths = []
-    for k, grid in enumerate(problems.grids):
-        lengths.append(shortest(grid, problems, k, halton(grid, 24, k)))
-        dense = halton(grid, DENSE, DENSE_SEED + k)
-        dense_lengths.append(shortest(grid, problems, k, dense))
-    is_solved = np.isfinite(lengths)
-    both_solved = is_solved & np.isfinite(dense_lengths)
-    ratios = np.divide(lengths, dense_lengths, where=both_solved, out=np.zeros(40))[both_solved]
-    of_halton = table[table["sampler"] == "halton"]
-    row = of_halton[(of_halton["subset"] == "all") & (of_halton["n"] == 24)].iloc[0]
-    assert row["success"] == pytest.approx(is_solved.mean())
-    assert row["length_ratio"] == pytest.approx(ratios.mean())
-
-
-def test_a_perfect_sampler_is_perfect() -> None:
-    """A sampler of the vertices of the shortest path solves all problems, and its paths are as long
-    as those on the dense roadmap.
-    """
-    problems = unseen_problems()
-
-    def perfect(
-        grids: npt.NDArray[np.uint8],
-        starts: npt.NDArray[np.int64],
-        goals: npt.NDArray[np.int64],
-        n: int,
-        seeds: Sequence[int],
-    ) -> Points:
-        """Return the n inner points of each path, filled up with its last point."""
-        samples = np.empty((len(grids), n, 2))
-        for k in range(len(grids)):
-            inner_points = first_path(problems, k)[1:-1]
-            samples[k] = inner_points[np.minimum(np.arange(n), len(inner_points) - 1)]
-        return samples
-
-    table = compare({"perfect": perfect, "halton": contenders({})["halton"]}, problems, [100])
-    all_problems = table[table["subset"] == "all"].set_index("sampler")
-    assert all_problems.success["perfect"] == 1
-    assert all_problems.success_low["perfect"] == 1
-    assert all_problems.length_ratio["perfect"] == pytest.approx(1, abs=0.01)
-    assert all_problems.length_ratio["perfect"] < all_problems.length_ratio["halton"]
-
-
-def test_terrain_is_refused_in_a_comparison_and_in_training(tmp_path: Path) -> None:
+def test_terrain_is_refused(tmp_path: Path) -> None:
     """Roadmaps are searched by length, so costs of cells would be ignored."""
     message = "roadmaps: got maps with terrain"
-    movement = Movement(8, corner_cutting=True, diagonal_cost=1)
-    problems = ProblemSet.sample("tiles", maps=2, movement=movement, problems="route")
-    with pytest.raises(ValueError, match=message):
-        compare(contenders({}), problems, [10])
     with pytest.raises(ValueError, match=message):
         FixedProblems(None, build={"spec": "tiles", "maps": 9}, experience=None).setup("fit")
     data = MapDataModule(None, build={"spec": "tiles", "maps": 9})
     with pytest.raises(ValueError, match=message):
         trainer(tmp_path).fit(Heatmap(targets="path", widths=(4, 4, 4), passes=1), data)
-
-
-def test_a_roadmap_of_one_vertex_is_refused() -> None:
-    """The half that is not Halton's would have no vertex."""
-    with pytest.raises(ValueError, match="sizes of 2 or more"):
-        compare(contenders({}), unseen_problems(), [1])
-
-
-def test_every_row_has_n_free_points() -> None:
-    """This holds for odd n, too. In rows that are half Halton's, these are the points of the row of
-    Halton, and the others are those of the sampler alone.
-    """
-    problems = unseen_problems()
-    problem_arrays = (problems.grids, problems.starts, problems.goals)
-    rows = contenders({"untrained": small_model(CVAE)})
-    for n in (2, 25):
-        second_half = n // 2
-        first_half = n - second_half
-        points = {name: row(*problem_arrays, n, range(12)) for name, row in rows.items()}
-        for samples in points.values():
-            assert samples.shape == (12, n, 2)
-            for grid, of_problem in zip(problems.grids, samples, strict=True):
-                assert free_at(grid, of_problem).all()
-        for name in ("gaussian", "bridge", "corners", "medial_axis", "untrained"):
-            assert np.array_equal(points[name][:, :first_half], points["halton"][:, :first_half])
-            alone = rows[f"{name}_alone"](*problem_arrays, second_half, range(12))
-            assert np.array_equal(points[name][:, first_half:], alone)
-
-
-def test_the_figure() -> None:
-    """It has a line for each sampler, and the error bars end at the bounds of the intervals."""
-    from matplotlib.collections import LineCollection
-    from matplotlib.figure import Figure
-
-    rows = contenders({})
-    table = compare(rows, unseen_problems(), [10, 20], bootstrap=50)
-    axes = plot_success(table, Figure().add_subplot(), "all")
-    assert len(axes.lines) == len(rows) == 10
-    by_sampler = table[table["subset"] == "all"].pivot(index="n", columns="sampler")
-    bars = [bar for bar in axes.collections if isinstance(bar, LineCollection)]
-    for name, bar in zip(table["sampler"].unique(), bars, strict=True):
-        ends = np.array([segment[:, 1] for segment in bar.get_segments()])
-        success = by_sampler["success"][name]
-        assert np.allclose(ends[:, 0], np.minimum(by_sampler["success_low"][name], success))
-        assert np.allclose(ends[:, 1], np.maximum(by_sampler["success_high"][name], success))
 
 
 # --- scripts and weights ------------------------------------------------------------------------
@@ -842,7 +715,7 @@ def test_training_script(main: Callable[[str], Main]) -> None:
         script = main("train_lego_sampler.py")
         file = f"{name}.pt"
         model = [f"--model={name}", f"--model.targets={targets}"]
-        script(["fit", f"--weights={file}", *flags, *model])
+        script(["--product", "fit", f"--weights={file}", *flags, *model])
         assert type(load(file)).__name__ == name
         assert load(file).targets == targets
     assert len(list(Path("banks").iterdir())) == 1

@@ -65,8 +65,8 @@ from mapdata import Movement, Sample, search_batch, terrain_from_costs
 from mapdata.arrays import Bytes, Float32s, Ints, offsets_of
 from mapdata.checks import check_choice, check_count
 
+from ..neural_astar import search as neural_search
 from .model import Model, Tensors
-from .neural_astar import search as neural_search
 
 TRAINING_FIELDS = ("map", "start", "goal", "path", "terrain")
 """The fields of a batch beside ``image``. Training by paths does not look at ``terrain``, from

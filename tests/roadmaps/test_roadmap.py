@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.stats import kstest
 
 from mapdata import MapSpec, Movement, ProblemSet
-from mapdata.models.lego.roadmap import (
+from mapdata.roadmaps import (
     SAMPLERS,
     bridge,
     build_roadmap,

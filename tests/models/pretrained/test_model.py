@@ -10,9 +10,9 @@ import pytest
 from helpers.training import trainer
 
 from mapdata import MapDataModule, Movement
-from mapdata.models.cost_predictor import CostPredictor
-from mapdata.models.model import load_model
-from mapdata.models.path_predictor import PathPredictor
+from mapdata.models.pretrained.cost_predictor import CostPredictor
+from mapdata.models.pretrained.model import load_model
+from mapdata.models.pretrained.path_predictor import PathPredictor
 
 
 def test_a_flipped_bit_of_weights_is_refused(tmp_path: Path) -> None:

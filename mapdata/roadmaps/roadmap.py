@@ -7,7 +7,7 @@ between cells is a path between their centres. Samplers are compared by the road
 points.
 
     from mapdata import Movement, ProblemSet
-    from mapdata.models.lego.roadmap import halton, roadmap_between
+    from mapdata.roadmaps import halton, roadmap_between
 
     problems = ProblemSet.sample("dungeon", seed=77, maps=1, movement=Movement(8))
     grid, start, goal = problems.grids[0], problems.starts[0], problems.goals[0]
@@ -41,6 +41,12 @@ MapSampler = Callable[[ArrayLike, int, int], Floats]
 RADIUS_FACTOR = 1.5
 """Vertices are joined within RADIUS_FACTOR * sqrt(log n / n) of the side of the map."""
 
+
+NO_ROADMAPS_ON_TERRAIN = (
+    "roadmaps: got maps with terrain, expected maps whose free cells all cost the same, since "
+    "roadmaps are searched by length; take maps without terrain"
+)
+"""The error for samplers on terrain, whose costs neither they nor the roadmaps look at."""
 
 # --- roadmaps -----------------------------------------------------------------------------------
 

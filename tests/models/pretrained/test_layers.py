@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import nn
 
-from mapdata.models.layers import STRIDE, Residual, Trunk, padded
+from mapdata.models.pretrained.layers import STRIDE, Residual, Trunk, padded
 
 
 def test_a_trunk_takes_any_multiple_of_its_stride() -> None:

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import nn
 
-from mapdata.models.optimizer import Muon, _orthogonal, one_cycle
+from mapdata.models.pretrained.optimizer import Muon, _orthogonal, one_cycle
 
 
 @pytest.mark.parametrize("shape", [(8, 20), (20, 8), (6, 3, 3, 3), (4, 16, 3, 3)])

@@ -14,7 +14,7 @@ from torch.utils.data import DataLoader
 from mapdata import Movement, OnlineMapDataset, Sample, Terrain, Tiles, check_path, search_batch
 from mapdata.arrays import Bytes, Floats
 from mapdata.models import CostPredictor
-from mapdata.models.cost_predictor import (
+from mapdata.models.pretrained.cost_predictor import (
     TRAINING_FIELDS,
     centred,
     path_weights,

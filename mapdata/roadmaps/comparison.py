@@ -4,7 +4,7 @@ The table of docs/samplers.md is made so:
 
     from mapdata import Movement, ProblemSet
     from mapdata.models import Heatmap
-    from mapdata.models.lego.comparison import compare, contenders, to_text
+    from mapdata.roadmaps import compare, contenders, to_text
 
     rows = contenders({"lego_heatmap": Heatmap.pretrained()})
     problems = ProblemSet.sample("dungeon", seed=77, maps=1000, movement=Movement(8))
@@ -16,20 +16,23 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 import pandas as pd
-from pytorch_lightning import Callback, LightningModule, Trainer
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints
 from mapdata.evaluation import confidence_intervals, with_interval
 from mapdata.plotting import PALETTE
 from mapdata.problems import HARD, ProblemSet
-
-from .experience import NO_SAMPLERS_ON_TERRAIN
-from .roadmap import SAMPLERS, MapSampler, halton, path_lengths, uniform
-from .sampler import Sampler
+from mapdata.roadmaps.roadmap import (
+    NO_ROADMAPS_ON_TERRAIN,
+    SAMPLERS,
+    MapSampler,
+    halton,
+    path_lengths,
+    uniform,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,13 +59,31 @@ From grids (B, H, W), starts and goals (B, 2), n and B seeds to (B, n, 2) points
 """
 
 
-def contenders(learned: Mapping[str, Sampler]) -> dict[str, Contender]:
+@runtime_checkable
+class LearnedSampler(Protocol):
+    """What `contenders` takes: anything with this method, such as a sampler of `mapdata.models`."""
+
+    def sample_batch(
+        self, grids: Bytes, starts: Ints, goals: Ints, n: int, seed: int = 0
+    ) -> Floats:
+        """Return (B, n, 2) points (row, column) in free cells.
+
+        Args:
+            grids: (B, H, W), 0 free and 1 occupied.
+            starts: (B, 2), cells.
+            goals: (B, 2), cells.
+            n: number of points for each problem.
+            seed: seed of all draws.
+        """
+
+
+def contenders(learned: Mapping[str, LearnedSampler]) -> dict[str, Contender]:
     """Return the rows of the table: the samplers that learn nothing, then the learned ones.
 
     Halton's points and uniform points have one row. Other samplers have two: in the row of its name
     half of the points are Halton's, as in LEGO, and in ``<name>_alone`` all points are its own.
     """
-    samplers: dict[str, Sampler | MapSampler] = {**SAMPLERS, **learned}
+    samplers: dict[str, LearnedSampler | MapSampler] = {**SAMPLERS, **learned}
     rows: dict[str, Contender] = {}
     for name, sampler in samplers.items():
         if sampler in (halton, uniform):
@@ -74,7 +95,7 @@ def contenders(learned: Mapping[str, Sampler]) -> dict[str, Contender]:
 
 
 def sample_alone(
-    sampler: Sampler | MapSampler,
+    sampler: LearnedSampler | MapSampler,
     grids: Bytes,
     starts: Ints,
     goals: Ints,
@@ -82,13 +103,13 @@ def sample_alone(
     seeds: Sequence[int],
 ) -> Floats:
     """Return (B, n, 2) points of one sampler; without the first argument this is a `Contender`."""
-    if isinstance(sampler, Sampler):
+    if isinstance(sampler, LearnedSampler):
         return sampler.sample_batch(grids, starts, goals, n, seeds[0])
     return np.stack([sampler(grid, n, seed) for grid, seed in zip(grids, seeds, strict=True)])
 
 
 def sample_half_halton(
-    sampler: Sampler | MapSampler,
+    sampler: LearnedSampler | MapSampler,
     grids: Bytes,
     starts: Ints,
     goals: Ints,
@@ -102,24 +123,6 @@ def sample_half_halton(
     first = sample_alone(halton, grids, starts, goals, n - n // 2, seeds)
     second = sample_alone(sampler, grids, starts, goals, n // 2, seeds)
     return np.concatenate([first, second], axis=1)
-
-
-class RoadmapSuccess(Callback):
-    """Logs ``val_success``: the share of problems that roadmaps of 50 vertices solve.
-
-    As in the table, half of the vertices are Halton's.
-    """
-
-    def on_validation_batch_end(
-        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, *_: int
-    ) -> None:
-        """Build the roadmaps of one batch."""
-        assert isinstance(pl_module, Sampler)
-        fields = (batch.map[:, 0], batch.start, batch.goal)
-        grids, starts, goals = (field.cpu().numpy() for field in fields)
-        points = sample_half_halton(pl_module, grids, starts, goals, 50, range(len(grids)))
-        solved = np.isfinite(path_lengths(grids, starts, goals, points))
-        pl_module.log("val_success", solved.mean(), batch_size=len(grids), prog_bar=True)
 
 
 # --- the table ----------------------------------------------------------------------------------
@@ -160,7 +163,7 @@ def compare(
         ValueError: no sampler, problem, size or resample, a size below 2, or problems on terrain.
     """
     if problems.terrain is not None:
-        raise ValueError(NO_SAMPLERS_ON_TERRAIN)
+        raise ValueError(NO_ROADMAPS_ON_TERRAIN)
     if not rows or not len(problems) or not sizes or min(sizes) < 2 or bootstrap < 1:
         raise ValueError(
             "expected at least one sampler, problem and resample, and sizes of 2 or more"

@@ -7,7 +7,7 @@ The decoder makes a point of a latent, two numbers, and a condition. In the orig
 holds the 10 x 10 cells of a coarse map. Here it is a convolutional code of map, start and goal, so
 that maps may have any size.
 
-Targets, training and files are those of `mapdata.models.lego.sampler.Sampler`.
+Targets, training and files are those of `mapdata.models.pretrained.lego.sampler.Sampler`.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from torch import Tensor, nn
 
 from mapdata.arrays import Bytes, Floats, Ints
 from mapdata.checks import check_count
+from mapdata.roadmaps import free_at, uniform
 
 from ..layers import padded
 from ..model import Tensors
-from .roadmap import free_at, uniform
 from .sampler import Sampler, encode
 
 MAX_ROUNDS = 8
@@ -82,7 +82,7 @@ class CVAE(Sampler):
       because there are far fewer steps
 
     Args:
-        targets: one of ``mapdata.models.lego.sampler.TARGETS``.
+        targets: one of ``mapdata.models.pretrained.lego.sampler.TARGETS``.
         latent: number of elements of the latent.
         width: channels of the hidden layers.
         code: number of elements of the convolutional code of map, start and goal.

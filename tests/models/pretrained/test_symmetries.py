@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from mapdata import MapSpec, Movement, ProblemSet
-from mapdata.models.symmetries import (
+from mapdata.models.pretrained.symmetries import (
     random_symmetry,
     restore_plane,
     transform_plane,

@@ -13,7 +13,7 @@ There are two kinds of targets:
 In the original, the sparse roadmap has 200 vertices. Here its size is that of the roadmaps that the
 sampler is for.
 
-    from mapdata.models.lego.experience import FixedProblems
+    from mapdata.models.pretrained.lego.experience import FixedProblems
 
     data = FixedProblems(
         None,
@@ -49,18 +49,17 @@ from mapdata.datasets import LateLoader, MapDataModule, Sample
 from mapdata.hashing import canonical_json
 from mapdata.movement import Movement
 from mapdata.problems import Pairs, Random, Route
+from mapdata.roadmaps import (
+    NO_ROADMAPS_ON_TERRAIN,
+    build_roadmap,
+    connection_radius,
+    halton,
+    roadmap_between,
+)
 from mapdata.shards import write_output
-
-from .roadmap import build_roadmap, connection_radius, halton, roadmap_between
 
 MINED_TARGETS = ("lego", "shortest_path")
 """Names of the targets, in the order in which `mine` returns them."""
-
-NO_SAMPLERS_ON_TERRAIN = (
-    "roadmaps: got maps with terrain, expected maps whose free cells all cost the same, since "
-    "roadmaps are searched by length; take maps without terrain"
-)
-"""The error for samplers on terrain, whose costs neither they nor the roadmaps look at."""
 
 BANK_FIELDS = ("map", "start", "goal", "problem")
 """The fields that a dataset must have for a bank."""
@@ -424,7 +423,7 @@ def check_no_terrain(data: MapDataModule) -> None:
         ValueError: one of them has it.
     """
     if any(dataset.has_terrain for dataset in data.datasets.values()):
-        raise ValueError(NO_SAMPLERS_ON_TERRAIN)
+        raise ValueError(NO_ROADMAPS_ON_TERRAIN)
 
 
 class _FirstEpoch(Subset[Sample]):
