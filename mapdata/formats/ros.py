@@ -71,7 +71,7 @@ from mapdata.formats.images import (
 from mapdata.formats.registry import Format
 from mapdata.formats.shrinking import FreeSpace, check_free
 from mapdata.npy import FormatError, refusing
-from mapdata.search.taut import to_metres
+from mapdata.search.metres import to_metres
 from mapdata.shards.files import StrPath
 from mapdata.shards.root import Root
 

@@ -12,11 +12,13 @@ from mapdata.search.api import (
 )
 from mapdata.search.arguments import as_terrain, terrain_from_costs
 from mapdata.search.footprint import clearance, inflate, inflate_terrain
+from mapdata.search.free_lines import lines_are_free
 from mapdata.search.labels import Labels, RouteLabels, label
 from mapdata.search.lattice import hardness, move_rule
 from mapdata.search.map_stack import MapStack
+from mapdata.search.metres import to_metres
 from mapdata.search.order import SearchOrder, search_order
-from mapdata.search.taut import lines_are_free, path_waypoints, pull_taut, to_metres
+from mapdata.search.taut import path_waypoints, pull_taut
 
 __all__ = [
     "STEPS",
