@@ -14,7 +14,7 @@ from mapdata.datasets.arguments import (
     MovementLike,
     Transform,
 )
-from mapdata.datasets.dataset import DRAWS, MapDataset
+from mapdata.datasets.dataset import MapDataset
 from mapdata.datasets.fields import FIELDS, Batch, MazeImage, Waypoints
 from mapdata.datasets.info import DatasetInfo, FieldInfo
 from mapdata.datasets.online import OnlineMapDataset
@@ -24,6 +24,7 @@ from mapdata.datasets.sampler import EpochSampler, LateLoader
 from mapdata.datasets.symmetry import apply_symmetry
 from mapdata.datasets.text import maze_text
 from mapdata.datasets.tiles import Tiles
+from mapdata.problems.drawing import DRAWS
 
 if TYPE_CHECKING:
     from mapdata.datasets.datamodule import MapDataModule

@@ -18,12 +18,13 @@ from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 
 from mapdata.arrays import Bytes, Flags, Float32s, Int32s, Ints, offsets_of
-from mapdata.datasets.fields import Paths, Rooms, StoredMaps
+from mapdata.datasets.fields import Rooms
 from mapdata.generators.maps import WORD, unpack_map
 from mapdata.jit import COMPILED, Int, kernel
 from mapdata.limits import MAX_ROOMS, SPLITS
 from mapdata.movement import STEPS, Movement
-from mapdata.problems.sources import Random, Route, Source
+from mapdata.problems.drawing import Paths
+from mapdata.problems.sources import Route, Source
 from mapdata.search.footprint import inflate_all, min_squared_clearance
 from mapdata.search.kernels import Scratch, search_memory
 from mapdata.search.labels import connected_components, connections_serve, pairs_of
@@ -103,8 +104,8 @@ class StoredProblems(NamedTuple):
     Attributes:
         shards: (B,) int64, number of the shard.
         maps: (B,) int64, number of the map in its shard.
-        first_rooms: (B,) int64, the room where the problem starts, -1 for random problems.
-        second_rooms: (B,) int64, the room of its goal, -1 for random problems.
+        first_rooms: (B,) int64, the room where the problem starts, -1 for problems that are drawn.
+        second_rooms: (B,) int64, the room of its goal, -1 for problems that are drawn.
     """
 
     shards: Ints
@@ -476,7 +477,7 @@ class BatchReader:
         self._cuts_corners = served_movement.corner_cutting
         self._problems = problems
         self._labels_decide = True
-        if not isinstance(problems, Random) and not problems.unsolvable:
+        if problems.is_stored and not problems.unsolvable:
             # Problems without a path are left out. The stored labels may say which.
             self._labels_decide = connections_serve(
                 self.movement, served_movement, self.min_clearance
@@ -616,17 +617,17 @@ class BatchReader:
         read_maps(self._addresses, stored.shards, stored.maps, grids)
         return grids
 
-    def stored_maps(self, stored: StoredProblems, grids: Bytes) -> StoredMaps:
-        """Return the maps of problems, whose ``grids`` (B, H, W) are read already.
-
-        The number of a map is that in its own dataset, also where there are several roots.
-        """
+    def stored_maps(self, stored: StoredProblems, grids: Bytes) -> MapStack:
+        """Return the maps of problems, whose ``grids`` (B, H, W) are read already."""
         terrain = None
         if self.has_terrain:
             terrain = np.empty((len(stored.shards), *self.map_size), np.uint8)
             read_terrain(self._addresses, stored.shards, stored.maps, terrain)
-        numbers = self._first_maps[stored.shards] + stored.maps
-        return StoredMaps(numbers, MapStack(grids, terrain))
+        return MapStack(grids, terrain)
+
+    def map_numbers(self, stored: StoredProblems) -> Ints:
+        """Return the number of each map in its own dataset, also where there are several roots."""
+        return self._first_maps[stored.shards] + stored.maps
 
     def map_indices(self, stored: StoredProblems) -> Ints:
         """Return the number of each map, (B,), counted over all roots, as in `Root.labels`."""
@@ -736,11 +737,11 @@ def _successor(manifest: Manifest, current: Manifest, entry: Entry) -> int | Non
 def problem_rows(shard: Shard, split: str | None, problems: Source) -> Int32s:
     """Return the problems of a shard, (P, 3) int32: map, room, room.
 
-    The rooms of a random problem, which is drawn later, are -1.
+    The rooms of a problem that is drawn later are -1.
     """
     arrays = shard.arrays
     room_counts = np.diff(arrays["room_offsets"])
-    if isinstance(problems, Random):
+    if not problems.is_stored:
         maps = np.arange(len(room_counts))
         no_room = np.full_like(maps, -1)
         rows = np.stack((maps, no_room, no_room), axis=1).astype(np.int32)

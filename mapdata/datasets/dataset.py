@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-import math
-import operator
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from copy import copy
-from dataclasses import replace
-from functools import cache
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from torch import Tensor
-from torch.utils.data import Dataset, default_collate, get_worker_info
 
-from mapdata.arrays import Bytes, Ints, offsets_of, places_of_mask
-from mapdata.checks import check_choice, check_flag
+from mapdata.checks import check_flag
 from mapdata.datasets.arguments import (
     DEFAULT_FIELDS,
     FieldFunction,
@@ -25,70 +17,21 @@ from mapdata.datasets.arguments import (
     Serving,
     Transform,
     as_movement,
-    field_names,
-    torch_dtype,
 )
+from mapdata.datasets.batch_sources import DrawnSource, StoredSource
 from mapdata.datasets.batches import BatchReader, stored_counts
-from mapdata.datasets.fields import (
-    FIELD_CLASSES,
-    FIELDS,
-    NO_TAUT_LINES,
-    Batch,
-    Field,
-    Paths,
-    Rooms,
-    StoredMaps,
-    divided_lines,
-    room_matrices,
-)
+from mapdata.datasets.fields import FIELDS, Field, divided_lines
 from mapdata.datasets.info import DatasetInfo, field_infos
-from mapdata.datasets.problem_statistics import SAMPLE, measure
-from mapdata.datasets.repeats import RepeatWatch, warn_of_repeats
-from mapdata.datasets.sample import Rows, Sample, cast, row, sample_class, stack
-from mapdata.describe.dataset_card import movement_text
-from mapdata.describe.problem_statistics import ProblemStatistics
+from mapdata.datasets.map_sources import StoredMapSource
+from mapdata.datasets.problem_dataset import ProblemDataset
 from mapdata.generators.recipe import Recipe
 from mapdata.generators.stored_families import unknown_family
-from mapdata.limits import SPLITS, Size
-from mapdata.movement import Movement
-from mapdata.problems.nearest import nearest_text, nothing_seen, see_values
-from mapdata.problems.sampling import sample_problems
-from mapdata.problems.sources import (
-    MAX_CELL_COST,
-    Band,
-    Random,
-    Route,
-    Source,
-    SourceLike,
-    check_band,
-    check_possible,
-    plain_text,
-    problem_source,
-)
-from mapdata.problems.substitutes import RARE_SHARE, draw_substitutes, most_maps, say_rare
-from mapdata.problems.symmetry import sample_symmetries, transform_cells, transform_grids
-from mapdata.search.api import check_cost
-from mapdata.search.labels import labels_serve
-from mapdata.search.lattice import MAX_PATH_COST, move_rule
-from mapdata.search.map_stack import MapStack
+from mapdata.limits import SPLITS
+from mapdata.problems.sources import Band, Random, Source, SourceLike, check_band, problem_source
 from mapdata.shards.locations import Locations, locations
-from mapdata.shards.workers import Advance, no_bar
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.axes import Axes
-
-DRAWS = 32
-"""How many goals are drawn on a map for a random problem, before another map takes its place."""
-
-CELLS_AT_ONCE = 2**20
-"""Cells of the maps that problems are sampled on at once: 256 maps of 64 x 64.
-
-More of them would keep a progress bar waiting where problems are rare.
-"""
-
-_process = {"said_rare": False}
-"""Whether this process has said that problems are rare."""
 
 FILTER_BATCH = 4096
 """Number of problems that `MapDataset.filter` examines at once, which limits its memory."""
@@ -104,683 +47,7 @@ CONDITIONS: dict[str, Field] = {
 """The quantity that each condition of `MapDataset.filter` limits, (B,) for a batch."""
 
 
-class SampledProblems(NamedTuple):
-    """Problems that were sampled on B maps.
-
-    Attributes:
-        stored_maps: the maps before inflation.
-        grids: (B, H, W) uint8, the maps as served.
-        ends: (B, 4) int64, row and column of start and goal, -1 where no problem was found.
-        paths: their paths; None if they are not searched yet.
-    """
-
-    stored_maps: StoredMaps
-    grids: Bytes
-    ends: Ints
-    paths: Paths | None
-
-    def with_rows(self, rows: Ints, others: SampledProblems, places: Ints) -> SampledProblems:
-        """Return these problems with number ``rows[k]`` replaced by number ``places[k]`` of others.
-
-        The arrays are changed in place; paths are copied.
-        """
-        self.grids[rows] = others.grids[places]
-        self.ends[rows] = others.ends[places]
-        stored_maps = self.stored_maps
-        new_maps = others.stored_maps
-        stored_maps.numbers[rows] = new_maps.numbers[places]
-        stored_maps.maps.overwrite(rows, new_maps.maps, places)  # without inflation, the same grids
-        if self.paths is None or others.paths is None:
-            return self
-        return self._replace(paths=self.paths.with_rows(rows, others.paths, places))
-
-
-def joined(parts: Sequence[SampledProblems]) -> SampledProblems:
-    """Return the problems of all parts, one part after another."""
-    stored_maps = [part.stored_maps for part in parts]
-    maps = MapStack.joined([stored.maps for stored in stored_maps])
-    # Without inflation the maps as served are the stored ones themselves.
-    grids = maps.grids
-    if parts[0].grids is not stored_maps[0].maps.grids:
-        grids = np.concatenate([part.grids for part in parts])
-    return SampledProblems(
-        StoredMaps(np.concatenate([stored.numbers for stored in stored_maps]), maps),
-        grids,
-        np.concatenate([part.ends for part in parts]),
-        _joined_paths([part.paths for part in parts]),
-    )
-
-
-def _joined_paths(parts: Sequence[Paths | None]) -> Paths | None:
-    """Return the paths of all parts, one part after another; None if a part has none."""
-    paths = [part for part in parts if part is not None]
-    if len(paths) < len(parts):
-        return None
-    return Paths(
-        np.concatenate([part.cells for part in paths]),
-        offsets_of(np.concatenate([np.diff(part.offsets) for part in paths])),
-        np.concatenate([part.iterations for part in paths]),
-    )
-
-
-@cache
-def keep_freed_memory() -> None:
-    """Make malloc keep the memory of past batches for the next ones, once for each process.
-
-    Above a threshold glibc gives the memory of a freed block back to the system, and a new block
-    faults in all of its pages again, which takes longer than filling them. The threshold grows to
-    the size of the largest block that was freed, up to 32 MiB. So a block of 31 MiB, more than
-    batches take, is allocated and freed here. It is never written, so it takes no memory.
-    """
-    np.empty(31 * 2**20, np.uint8)
-
-
-class ProblemDataset(Dataset[Sample], ABC):
-    """Indexing, fields, epochs and symmetries: the part that all datasets share.
-
-    ``dataset[i]`` is a `Sample`. ``dataset[2:9]``, ``dataset[[4, 1]]`` and ``dataset[mask]``, with
-    a bool for each problem, are batches. A DataLoader gets whole batches that are computed at once.
-    With a ``transform``, ``dataset[i]`` is what it
-    returns, and batches are stacked from such samples as a DataLoader does.
-
-    A batch sampler may yield lists of ``index + epoch * len(dataset)``: what is drawn anew each
-    epoch is a function of (sampling_seed, epoch, index), never of worker state. A plain
-    ``dataset[i]`` is epoch 0, and i below the length.
-    """
-
-    movement: Movement
-    """Movement of the served paths."""
-
-    map_size: Size
-    """(rows, columns) of all maps."""
-
-    has_terrain: bool
-    """Whether the maps have terrain: free cells that cost different amounts."""
-
-    _opened: ClassVar[tuple[str, ...]]
-    """Attributes that `_open` sets. They are not pickled: each process opens the files itself."""
-
-    def __init__(self, split: str | None, serving: Serving) -> None:
-        """Check and keep the arguments that `MapDataset` describes."""
-        if split is not None:
-            check_choice("split", split, SPLITS)
-        if serving.augment and split in ("val", "test"):
-            raise ValueError(
-                f"augment: would change the split {split!r}, expected the training split"
-            )
-        if serving.has_jitter and split in ("val", "test"):
-            raise ValueError(
-                f"jitter: would change the pictures of the split {split!r}, expected Tiles without "
-                "jitter, or the training split"
-            )
-        self.split = split
-        self.serving = serving
-        self._field_names = serving.names
-        self.dtype = torch_dtype(serving.dtype, serving.names)
-        self.transform = serving.transform
-        self._watch = RepeatWatch() if self._drawn_anew else None
-        keep_freed_memory()
-
-    @property
-    def _drawn_anew(self) -> str:
-        """What is drawn anew each epoch: "problems", "symmetries", "light" or "" for nothing."""
-        if isinstance(self.serving.problems, Random):
-            return "problems"
-        if self.serving.augment:
-            return "symmetries"
-        return "light" if self.serving.has_jitter else ""
-
-    def _epoch_note(self) -> str:
-        """Return what `repr` says of epochs; nothing if all epochs serve the same samples."""
-        if not self._drawn_anew:
-            return ""
-        return f", {self._drawn_anew} of epoch 0 unless a sampler gives the epoch"
-
-    def expect_epochs(self) -> None:
-        """Never warn of repeated draws: a sampler gives the epochs."""
-        self._watch = None
-
-    def _check_fields_on_terrain(self) -> None:
-        """Refuse fields that do not exist on terrain.
-
-        Raises:
-            ValueError: waypoints, where the maps have terrain.
-        """
-        if self.has_terrain and "waypoints" in self._field_names:
-            raise ValueError(f"fields: {NO_TAUT_LINES}")
-
-    @abstractmethod
-    def __len__(self) -> int:
-        """Return the number of problems."""
-
-    @property
-    @abstractmethod
-    def info(self) -> DatasetInfo:
-        """Where the maps come from, their counts, and what a sample holds."""
-
-    @abstractmethod
-    def _open(self) -> None:
-        """Set the attributes of `_opened` from all other attributes."""
-
-    def __copy__(self) -> Any:
-        """Return a copy that shares the open shards."""
-        copied = type(self).__new__(type(self))
-        vars(copied).update(vars(self))
-        copied._watch = RepeatWatch() if self._drawn_anew else None
-        return copied
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes that are pickled: all but those that `_open` sets."""
-        state = {name: v for name, v in vars(self).items() if name not in self._opened}
-        # A process that gets the dataset pickled, such as a loader worker, reads a part of a pass.
-        return {**state, "_watch": None}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take over the pickled attributes, and open the dataset again."""
-        vars(self).update(state)
-        keep_freed_memory()
-        self._open()
-
-    def __getitem__(self, index: Any) -> Sample:
-        if isinstance(index, slice):
-            index = np.arange(*index.indices(len(self)))
-        index = self._without_mask(index)
-        if np.ndim(index):
-            samples = self._serve(index)
-            return samples.batch if isinstance(samples, Rows) else default_collate(samples)
-        sample: Sample = self._serve([self._checked_index(index)])[0]
-        return sample
-
-    def __getitems__(self, indices: Sequence[int] | Ints | Tensor) -> Any:
-        """Return a list of samples; torch's DataLoader calls this.
-
-        Without a transform the list is a whole batch, `Rows`, which torch's collate function takes
-        as it is.
-
-        Args:
-            indices: ``index + epoch * len(dataset)`` each; a negative index counts from the end.
-        """
-        return self._serve(indices, self._watch)
-
-    def _serve(
-        self, indices: Sequence[int] | Ints | Tensor, watch: RepeatWatch | None = None
-    ) -> Any:
-        """Return a list of samples as `__getitems__`, which only a loader calls, and which watches.
-
-        Without a transform the list is a whole batch, `Rows`, which torch's collate function takes
-        as it is.
-
-        Args:
-            indices: ``index + epoch * len(dataset)`` each; a negative index counts from the end.
-            watch: what finds out whether passes repeat each other, or None.
-        """
-        numbers = np.asarray(indices)
-        length = len(self)
-        if numbers.size and numbers.dtype.kind not in "iu":
-            raise TypeError(f"indices: got {numbers.dtype}, expected integers")
-        numbers = numbers.astype(np.int64).reshape(-1)
-        if len(numbers) and (length == 0 or numbers.min() < -length):
-            raise IndexError(f"index {numbers.min()} is out of range for {length} problems")
-        numbers[numbers < 0] += length
-        epochs, problems = np.divmod(numbers, length)
-        last_epoch = epochs.max(initial=0)
-        if watch is not None and len(numbers):
-            if last_epoch > 0:
-                self.expect_epochs()
-            elif watch.sees_repeats(problems, length):
-                warn_of_repeats(self._drawn_anew)
-                self.expect_epochs()
-        if (epochs == last_epoch).all():
-            batch = self._load(problems, last_epoch)
-        else:  # `_load` takes one epoch only
-            batches = [self._load(problems[k : k + 1], epoch) for k, epoch in enumerate(epochs)]
-            batch = stack([row(batch_of_one, 0) for batch_of_one in batches])
-        samples = Rows(batch)
-        if self.transform is None or not len(samples):
-            return samples
-        return [self.transform(sample) for sample in samples]
-
-    def __iter__(self) -> Iterator[Sample]:
-        return (self[i] for i in range(len(self)))
-
-    def plot(self, index: int | Sequence[int] = 0, axes: Axes | None = None) -> Axes:
-        """Draw a problem: its map, start S, goal G and path, whichever fields are served.
-
-        The first dense field among the served ones, such as ``cost_to_go``, is drawn as a shade;
-        without one, the costs of the terrain if the maps have any. All problems of a grid have one
-        scale, and free cells that cannot reach the goal are grey. A ``transform`` is not applied.
-        ``dataset.plot(0).figure.savefig("map.png")`` writes a picture.
-
-        Args:
-            index: which problem, or up to 9 of several for a grid of them; a mask selects problems.
-            axes: where to draw one problem; a new figure without.
-
-        Returns:
-            The axes; of several problems those of the first one.
-
-        Raises:
-            IndexError: no such problem.
-            ValueError: no problem at all, or axes for several.
-        """
-        # The face of the folder imports a lot that loading does not need.
-        from mapdata.plotting.plot_models import MAX_SAMPLES, plot_sample
-
-        numbers = np.atleast_1d(self._without_mask(index))
-        indices = [self._checked_index(i) for i in numbers[:MAX_SAMPLES]]
-        terrain_field = ("terrain",) if self.has_terrain else ()
-        fields = tuple(dict.fromkeys((*DEFAULT_FIELDS, *self.serving.fields, *terrain_field)))
-        batch = self._batch(np.array(indices, np.int64), epoch=0)
-        samples = self._compute_fields(batch, fields, field_names(fields))
-        return plot_sample(row(samples, 0) if np.ndim(index) == 0 else samples, axes)
-
-    def problem_statistics(self, sample: int = SAMPLE) -> ProblemStatistics:
-        """Return whether the served problems need a planner, and whether their paths are unique.
-
-        Nothing is measured before this method is called. On maps of 64 x 64 cells it takes less
-        than a second. Shortest paths are those of least cost, with ``search="bfs"`` too.
-        Symmetries (``augment``) change none of the statistics.
-
-        Args:
-            sample: how many problems are measured, evenly spread over the dataset and always the
-                same; all if there are fewer. On maps of more than 5,000 cells they are as many as
-                have together ``5000 * sample`` cells, but at least 10.
-
-        Raises:
-            ValueError: ``sample`` is less than one.
-        """
-        return measure(self, sample)
-
-    def _served(self) -> str:
-        """Return which problems are served, in words."""
-        parts = [plain_text(self.serving.problems), movement_text(self.movement, self.has_terrain)]
-        if self.split is not None:
-            parts.append(f"split {self.split}")
-        if self.serving.radius:
-            parts.append(f"radius {self.serving.radius:g} m")
-        return "; ".join(parts)
-
-    @abstractmethod
-    def _problems_text(self) -> str:
-        """Return which problems are served, in words that no other problems have.
-
-        They do not depend on where the files of the maps are.
-        """
-
-    def _own_maps(self, problems: Ints) -> Ints | None:
-        """Return the maps on which problems are drawn first, as ``map_index`` numbers them.
-
-        None for problems that are not drawn, and so never on another map.
-        """
-        return None
-
-    def _without_mask(self, index: Any) -> Any:
-        """Return the numbers of the problems that a mask selects; any other index as it is.
-
-        Raises:
-            IndexError: a mask of another length than the dataset.
-        """
-        if np.ndim(index) == 0:
-            return index
-        array = np.asarray(index)
-        return places_of_mask(array, len(self)) if array.dtype == np.bool_ else index
-
-    def _checked_index(self, index: Any) -> int:
-        """Return an index as an int.
-
-        Raises:
-            IndexError: it is out of range.
-            TypeError: it is no integer.
-        """
-        if isinstance(index, (bool, np.bool_)):
-            raise TypeError(f"index: got {index}, expected an integer, or a mask of all problems")
-        i = operator.index(index)
-        if not -len(self) <= i < len(self):
-            raise IndexError(f"index {i} is out of range for {len(self)} problems")
-        return i % len(self)
-
-    def _load(self, indices: Ints, epoch: int) -> Sample:
-        """Return the served fields of problems ``indices`` of an epoch, as a batch."""
-        batch = self._batch(indices, epoch)
-        sample = self._compute_fields(batch, self.serving.fields, self._field_names)
-        return sample if self.dtype is None else cast(sample, self.dtype)
-
-    def _batch(self, indices: Ints, epoch: int) -> Batch:
-        """Return problems ``indices`` of an epoch, transformed by symmetries if asked for."""
-        batch = self._problems(indices, epoch)
-        batch.sampling_seed = self.serving.sampling_seed
-        batch.epoch = epoch
-        if self.serving.augment:
-            batch = _transformed(batch, self.serving.sampling_seed, epoch)
-        return batch
-
-    def _compute_fields(
-        self, batch: Batch, fields: Sequence[str | FieldFunction], names: tuple[str, ...]
-    ) -> Sample:
-        """Return fields of a batch; a function gets the fields before it."""
-        tensors: list[Tensor] = []
-        for field in fields:
-            if isinstance(field, (str, *FIELD_CLASSES)):
-                compute = FIELDS[field] if isinstance(field, str) else field
-                array = np.ascontiguousarray(compute(batch))
-                tensors.append(torch.from_numpy(array))
-            else:
-                batch_so_far = sample_class(names[: len(tensors)])(*tensors)
-                count = len(batch.grids)
-                tensors.append(_field_tensor(names[len(tensors)], field(batch_so_far), count))
-        sample: Sample = sample_class(names, self.serving.max_length)(*tensors)
-        return sample
-
-    @abstractmethod
-    def _problems(self, indices: Ints, epoch: int) -> Batch:
-        """Return problems ``indices`` of an epoch, before any symmetry."""
-
-
-class SampledProblemDataset(ProblemDataset):
-    """Random problems on the maps of a split: what `MapDataset` and `OnlineMapDataset` share.
-
-    Map p is the p-th map of the split. Problem i is first sampled on map i, or on map ``i // k`` if
-    there are k problems per map.
-    """
-
-    _min_clearance: int
-    """Clearance of the cells that are served as free, as from `min_squared_clearance`."""
-
-    report_tried: Advance = staticmethod(no_bar)
-    """Called with the number of maps on which problems were sought just now, for a progress bar."""
-
-    def _check_on_maps(self) -> None:
-        """Refuse fields and problems that do not exist on these maps.
-
-        Raises:
-            ValueError: as `_check_fields_on_terrain` and `check_possible`.
-        """
-        self._check_fields_on_terrain()
-        check_possible(
-            self.serving.problems, self.map_size, self.movement, has_terrain=self.has_terrain
-        )
-
-    def _problems_text(self) -> str:
-        """Return what the problems are a function of: conditions, maps, and the seed of draws."""
-        hashes = ", ".join(map_hash[:12] for map_hash in self._map_hashes())
-        text = f"{self._served()}; maps {hashes}"
-        if self._drawn_anew == "problems":
-            text += f"; sampling_seed {self.serving.sampling_seed}"
-        return text
-
-    @abstractmethod
-    def _map_hashes(self) -> Sequence[str]:
-        """Return hashes that identify the maps."""
-
-    @abstractmethod
-    def _stored_maps(self, map_numbers: Ints) -> StoredMaps:
-        """Return maps by their numbers in the split, before inflation."""
-
-    @abstractmethod
-    def _map_indices(self, map_numbers: Ints) -> Ints:
-        """Return the numbers in the dataset of maps that have these numbers in the split, (B,)."""
-
-    def _own_maps(self, problems: Ints) -> Ints | None:
-        source = self.serving.problems
-        is_stored = not isinstance(source, Random)
-        return None if is_stored else self._map_indices(problems // source.per_map)
-
-    @abstractmethod
-    def _radius_in_cells(self) -> float:
-        """Return the radius of the robot in cells."""
-
-    @abstractmethod
-    def _seed_points(self, map_numbers: Ints) -> Ints:
-        """Return the seed points of maps by their numbers, (B, R, 2)."""
-
-    def _rooms(
-        self, map_numbers: Ints, grids: Bytes, compute_stored_maps: Callable[[], StoredMaps]
-    ) -> Rooms:
-        """Return the rooms of maps, solved anew.
-
-        Args:
-            map_numbers: (B,) numbers of the maps in the split.
-            grids: (B, H, W), the maps as served.
-            compute_stored_maps: returns the maps before inflation.
-        """
-        seed_points = self._seed_points(map_numbers)
-        numbers = map_numbers
-        maps = MapStack(grids, None)
-        if self.serving.search == "astar" and self.has_terrain:
-            numbers, stored_maps = compute_stored_maps()
-            maps = stored_maps.with_grids(grids)
-        search = self.serving.search
-        matrices = room_matrices(search, numbers, maps, seed_points, self.movement)
-        return Rooms(matrices, seed_points)
-
-    def _inflated(self, stored_grids: Bytes) -> Bytes:
-        """Return grids (B, H, W) after inflation by the radius of the robot.
-
-        Without a radius they are the stored ones themselves.
-        """
-        return MapStack(stored_grids, None).inflated(self._min_clearance).grids
-
-    @abstractmethod
-    def _substitutes(self, indices: Ints, epoch: int, numbers: Ints) -> Ints:
-        """Return the maps that take the place of those without a problem, (B,).
-
-        docs/format.md, section 6, has the rule.
-
-        Args:
-            indices: (B,) numbers of the problems.
-            epoch: pass over the data.
-            numbers: (B,) which substitute of the problem it is, from 1 on.
-        """
-
-    def _problems(self, indices: Ints, epoch: int) -> Batch:
-        """Return problems ``indices`` of an epoch.
-
-        Each of them is sampled on its own map, or on a substitute if that map has none. Which one
-        depends on the problem and its maps alone, never on the batch or on other problems.
-
-        Raises:
-            ValueError: a problem is on none of as many maps as `most_maps` allows.
-        """
-        maps = indices // self.serving.problems.per_map
-        problems = self._sample_in_parts(maps, indices, epoch)
-        most = most_maps(self.serving.problems, self.map_size, DRAWS)
-        tried = np.ones(len(indices), np.int64)  # maps of each problem
-        failed_in_a_row = 0  # maps of any problem of the batch
-        missing = np.flatnonzero(problems.ends[:, 0] < 0)
-        while len(missing):
-            # After many failures in a row the first problem is sought alone. So the error comes
-            # when one problem has been sought in vain, not when all of the batch have been.
-            rows = missing[: self._maps_at_once] if failed_in_a_row < most // 8 else missing[:1]
-            if (tried[rows] >= most).any():
-                row = rows[np.argmax(tried[rows] >= most)]
-                raise ValueError(self._no_problem_complaint(int(indices[row]), epoch, most))
-            ahead = self._substitutes_ahead(tried[rows], most)
-            repeated_rows = np.repeat(rows, ahead)
-            numbers = tried[repeated_rows] + np.tile(np.arange(ahead), len(rows))
-            tried_indices = indices[repeated_rows]
-            tried_maps = self._substitutes(tried_indices, epoch, numbers)
-            # A substitute has draws of its own, those of a problem beyond the end of the dataset.
-            keys = tried_indices + numbers * len(self)
-            sampled = self._sample(tried_maps, keys, epoch)
-            self.report_tried(len(tried_maps))
-            tried[rows] += ahead
-            self._say_rare(tried, len(missing), most)
-            places = np.flatnonzero(sampled.ends[:, 0] >= 0)
-            failed_in_a_row = 0 if len(places) else failed_in_a_row + len(tried_maps)
-            found_rows, first_places = np.unique(repeated_rows[places], return_index=True)
-            places = places[first_places]  # the first success of each problem
-            if len(places):
-                maps[found_rows] = tried_maps[places]
-                problems = problems.with_rows(found_rows, sampled, places)
-                missing = np.setdiff1d(missing, found_rows)
-        stored_maps = problems.stored_maps
-        starts = np.ascontiguousarray(problems.ends[:, :2])
-        goals = np.ascontiguousarray(problems.ends[:, 2:])
-        batch = self._as_batch(indices, maps, problems.grids, starts, goals, lambda: stored_maps)
-        if problems.paths is not None:
-            batch.paths = problems.paths
-        return batch
-
-    def _say_rare(self, tried: Ints, missing_count: int, most: int) -> None:
-        """Say once in each process that a batch takes long, if no bar shows it.
-
-        Args:
-            tried: (B,) maps that were tried for each problem of the batch.
-            missing_count: number of problems that were not found on the maps before the last ones.
-            most: number of maps that are tried for a problem before there is an error.
-        """
-        failed = int(tried.sum()) - len(tried)
-        worker = get_worker_info()
-        if (
-            failed < most // RARE_SHARE
-            or _process["said_rare"]
-            or self.report_tried is not no_bar
-            or (worker is not None and worker.id > 0)  # one worker says it for all
-        ):
-            return
-        _process["said_rare"] = True
-        say_rare(
-            f"{plain_text(self.serving.problems)}: no such problem at {failed:,} tries on a map, "
-            f"and {missing_count:,} of {len(tried):,} problems of a batch still to find; wider "
-            "conditions are faster"
-        )
-
-    @property
-    def _maps_at_once(self) -> int:
-        """The number of maps that problems are sampled on at once."""
-        rows, columns = self.map_size
-        return max(CELLS_AT_ONCE // (rows * columns), 1)
-
-    def _substitutes_ahead(self, tried: Ints, most: int) -> int:
-        """Return how many substitutes of each problem are tried at once.
-
-        They are at most an eighth of those that have failed, so that little work is done in vain.
-        On large maps with terrain it is one: a cost may be too high, which raises an error, and a
-        map must not raise it that comes after the one that is served.
-
-        Args:
-            tried: (B,) maps that were tried for each problem.
-            most: number of maps that are tried before there is an error.
-        """
-        rows, columns = self.map_size
-        if self.has_terrain and rows * columns * MAX_CELL_COST * math.sqrt(2) > MAX_PATH_COST / 2:
-            return 1
-        ahead = min(tried.min() // 8, self._maps_at_once // len(tried), most - tried.max())
-        return max(int(ahead), 1)
-
-    def _tried_text(self, tries: int) -> str:
-        """Return how many maps were tried for a problem."""
-        return f"{tries:,} maps were tried"
-
-    def _no_problem_complaint(self, index: int, epoch: int, most: int) -> str:
-        """Return the error for a problem that is on none of its first ``most`` maps."""
-        problems = self.serving.problems
-        is_random = isinstance(problems, Random)
-        text = f"problems: got {plain_text(problems)}: none on one map after another"
-        text += f"; {self._tried_text(most)} for problem {index} of epoch {epoch}"
-        if isinstance(problems, Random):
-            text += f", and {self._nearest_text(problems, index, epoch, most)}"
-        remedy = "wider conditions" if is_random else "other maps"
-        if self.serving.radius:
-            remedy += f", or a smaller radius than {self.serving.radius:g} m"
-        return f"{text}; take {remedy}"
-
-    def _nearest_text(self, problems: Random, index: int, epoch: int, most: int) -> str:
-        """Return the values nearest to the conditions on the first ``most`` maps of a problem."""
-        seen = nothing_seen()
-        for first in range(0, most, self._maps_at_once):
-            numbers = np.arange(first, min(first + self._maps_at_once, most))
-            indices = np.full(len(numbers), index)
-            maps = indices // problems.per_map
-            is_substitute = numbers > 0
-            maps[is_substitute] = self._substitutes(
-                indices[is_substitute], epoch, numbers[is_substitute]
-            )
-            see_values(
-                seen,
-                self._stored_maps(maps).maps.inflated(self._min_clearance),
-                self._given_goals(maps),
-                self.serving.sampling_seed,
-                epoch,
-                indices + numbers * len(self),
-                (0, DRAWS),
-                problems,
-                self.movement,
-            )
-        return nearest_text(seen, problems)
-
-    def _given_goals(self, map_numbers: Ints) -> Ints | None:
-        """Return the goals of random problems on maps, (B, 2); None if goals are drawn."""
-        problems = self.serving.problems
-        if isinstance(problems, Random) and problems.to_first_seed_point:
-            return np.ascontiguousarray(self._seed_points(map_numbers)[:, 0])
-        return None
-
-    def _sample_in_parts(self, map_numbers: Ints, indices: Ints, epoch: int) -> SampledProblems:
-        """Do what `_sample` does, with some of the maps at a time, which it reports."""
-        parts = []
-        for first in range(0, max(len(indices), 1), self._maps_at_once):
-            part = slice(first, first + self._maps_at_once)
-            parts.append(self._sample(map_numbers[part], indices[part], epoch))
-            self.report_tried(len(indices[part]))
-        return parts[0] if len(parts) == 1 else joined(parts)
-
-    def _sample(self, map_numbers: Ints, keys: Ints, epoch: int) -> SampledProblems:
-        """Sample a random problem on each map.
-
-        Args:
-            map_numbers: (B,) numbers of the maps in the split.
-            keys: (B,) the index that the draws of each problem depend on.
-            epoch: pass over the data.
-        """
-        problems = self.serving.problems
-        assert isinstance(problems, Random)
-        stored_maps = self._stored_maps(map_numbers)
-        maps = stored_maps.maps.inflated(self._min_clearance)
-        arguments = (
-            self._given_goals(map_numbers),
-            np.uint64(self.serving.sampling_seed),
-            epoch,
-            keys,
-            (0, DRAWS),
-            *problems.conditions,
-            move_rule(self.movement),
-        )
-        # Without conditions the costs of cells do not matter, as no move costs less than 1.
-        has_conditions = problems.conditions != Random().conditions
-        searched = maps if has_conditions else MapStack(maps.grids, None)
-        ends, row, high_cost = sample_problems(searched, *arguments)
-        check_cost(stored_maps.numbers, row, high_cost)
-        return SampledProblems(stored_maps, maps.grids, ends, paths=None)
-
-    def _as_batch(
-        self,
-        indices: Ints,
-        map_numbers: Ints,
-        grids: Bytes,
-        starts: Ints,
-        goals: Ints,
-        compute_stored_maps: Callable[[], StoredMaps],
-    ) -> Batch:
-        """Return problems as a batch whose paths are searched when they are needed."""
-        return Batch(
-            movement=self.movement,
-            search=self.serving.search,
-            grids=grids,
-            starts=starts,
-            goals=goals,
-            problems=indices,
-            compute_map_indices=lambda: self._map_indices(map_numbers),
-            compute_rooms=lambda: self._rooms(map_numbers, grids, compute_stored_maps),
-            compute_stored_maps=compute_stored_maps,
-            symmetries=np.zeros(len(indices), np.int64),
-            requested_fields=self._field_names,
-            max_length=self.serving.max_length,
-            radius_cells=self._radius_in_cells(),
-            has_terrain=self.has_terrain,
-        )
-
-
-class MapDataset(SampledProblemDataset):
+class MapDataset(ProblemDataset):
     """The problems of one or more built datasets, as torch samples.
 
     Args:
@@ -836,7 +103,7 @@ class MapDataset(SampledProblemDataset):
             problem on such maps can meet.
     """
 
-    _opened = ("reader", "_selected")
+    _opened = ("reader", "source")
 
     def __init__(
         self,
@@ -876,10 +143,6 @@ class MapDataset(SampledProblemDataset):
         reader = self.reader
         self._content_hashes = [manifest.content_hash for manifest in reader.manifests]
         self._max_seed_points = reader.max_seed_points
-        self.movement = serving.movement or reader.movement
-        self.map_size = reader.map_size
-        self.has_terrain = reader.has_terrain
-        self._min_clearance = reader.min_clearance
         self._check_on_maps()
         if radius and len(self) == 0 and len(self.reader) > 0:
             rows, columns = self.map_size
@@ -888,12 +151,10 @@ class MapDataset(SampledProblemDataset):
                 f"{', '.join(self.roots)} (split={split!r}) has a path; take a smaller radius (the "
                 f"maps are {rows} x {columns} cells of {reader.root.resolution:g} m)"
             )
-        # Labels are stored for one movement and for a robot without extent.
-        self._labels_serve = labels_serve(reader.movement, self.movement, reader.min_clearance)
 
     def _open(self) -> None:
         serving = self.serving
-        self.reader = BatchReader(
+        reader = BatchReader(
             self.roots,
             self.split,
             serving.problems,
@@ -901,14 +162,14 @@ class MapDataset(SampledProblemDataset):
             serving.movement,
             self._follow_links,
         )
-        # The numbers of the problems that are served, ascending; None for all of them.
-        self._selected = self.reader.solvable_problems()
-
-    def __len__(self) -> int:
-        """Return the number of problems."""
-        if self._selected is not None:
-            return len(self._selected)
-        return len(self.reader) * self.serving.problems.per_map
+        movement = serving.movement or reader.movement
+        maps = StoredMapSource(reader, movement, serving.radius, serving.sampling_seed)
+        self.reader = reader
+        if serving.problems.is_stored:
+            self.source = StoredSource(maps, serving, movement, reader.solvable_problems())
+        else:
+            count = len(reader) * serving.problems.per_map
+            self.source = DrawnSource(maps, serving, movement, count, draws_anew=True)
 
     def __repr__(self) -> str:
         root = self.roots[0] if len(self.roots) == 1 else self.roots
@@ -933,12 +194,10 @@ class MapDataset(SampledProblemDataset):
             calls.append(f".filter({bands})")
         return "".join(calls)
 
-    def _served(self) -> str:
+    def served_text(self) -> str:
+        """Return which problems are served, in words."""
         filters = self._filters_text()
-        return super()._served() + (f"; {filters}" if filters else "")
-
-    def _map_hashes(self) -> Sequence[str]:
-        return self._content_hashes
+        return super().served_text() + (f"; {filters}" if filters else "")
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Open the dataset again, if it still holds the same maps.
@@ -954,7 +213,7 @@ class MapDataset(SampledProblemDataset):
         # A worker may not know the family of the maps, and so not the number of rooms to pad to.
         self.reader.max_seed_points = self._max_seed_points
         for conditions in self.filters:
-            self._selected = self._matching(conditions)
+            self.source = self._matching(conditions)
 
     @property
     def info(self) -> DatasetInfo:
@@ -997,9 +256,9 @@ class MapDataset(SampledProblemDataset):
 
     def _problem_counts(self) -> dict[str, int]:
         """Return the number of served problems of each split, after filters and radius."""
-        if self._selected is None:
+        if not isinstance(self.source, StoredSource) or self.source.selected is None:
             return self._counts(self.serving.problems)
-        codes = self.reader.split_codes(self.reader.locate(self._selected))
+        codes = self.reader.split_codes(self.reader.locate(self.source.selected))
         counts = np.bincount(codes, minlength=len(SPLITS)).tolist()
         return dict(zip(SPLITS, counts, strict=True))
 
@@ -1031,7 +290,7 @@ class MapDataset(SampledProblemDataset):
             ValueError: random problems, which are not stored; no condition; a range that is not two
                 numbers in ascending order, or a condition that is no bool.
         """
-        if isinstance(self.serving.problems, Random):
+        if not self.serving.problems.is_stored:
             raise ValueError(
                 "filter: random problems are not stored; give Random(...) the conditions"
             )
@@ -1056,15 +315,16 @@ class MapDataset(SampledProblemDataset):
             raise ValueError(f"filter: got no condition, expected one of {', '.join(arguments)}")
         view = copy(self)
         view.filters = (*self.filters, conditions)
-        view._selected = self._matching(conditions)
+        view.source = self._matching(conditions)
         return view
 
-    def _matching(self, conditions: dict[str, Any]) -> Ints:
-        """Return the numbers of the selected problems that meet conditions of `filter`."""
-        selected = np.arange(len(self.reader)) if self._selected is None else self._selected
+    def _matching(self, conditions: dict[str, Any]) -> StoredSource:
+        """Return the problems of the source that meet conditions of `filter`."""
+        assert isinstance(self.source, StoredSource)
+        selected = self.source.numbers
         matching = []
         for numbers in np.split(selected, range(FILTER_BATCH, len(selected), FILTER_BATCH)):
-            batch = self._stored_problems(numbers)
+            batch = self.source.stored(numbers)
             is_match = np.ones(len(numbers), np.bool_)
             for name, condition in conditions.items():
                 quantity = CONDITIONS[name](batch)
@@ -1074,7 +334,7 @@ class MapDataset(SampledProblemDataset):
                 lowest, highest = np.broadcast_to(band, 2)
                 is_match &= (quantity >= lowest) & (quantity <= highest)
             matching.append(numbers[is_match])
-        return np.concatenate(matching)
+        return self.source.select(np.concatenate(matching))
 
     def table(self, columns: Sequence[str] | None = None) -> pd.DataFrame:
         """Return a table of the maps of this split: the paper's items, and ours (docs/paper.md).
@@ -1101,120 +361,3 @@ class MapDataset(SampledProblemDataset):
             for name, values in of_shard.items():
                 table.setdefault(name, []).extend(values)
         return pd.DataFrame(table)
-
-    def _problems(self, indices: Ints, epoch: int) -> Batch:
-        numbers = indices if self._selected is None else self._selected[indices]
-        if isinstance(self.serving.problems, Random):
-            return super()._problems(numbers, epoch)
-        return self._stored_problems(numbers)
-
-    def _stored_problems(self, numbers: Ints) -> Batch:
-        """Return problems of a route or of pairs by their numbers among all stored problems."""
-        stored = self.reader.locate(numbers)
-        stored_grids = self.reader.grids(stored)
-        starts = self.reader.seed_points(stored, stored.first_rooms)
-        goals = self.reader.seed_points(stored, stored.second_rooms)
-
-        def compute_stored_maps() -> StoredMaps:
-            return self.reader.stored_maps(stored, stored_grids)
-
-        grids = self._inflated(stored_grids)
-        batch = self._as_batch(numbers, numbers, grids, starts, goals, compute_stored_maps)
-        if isinstance(self.serving.problems, Route) and self._labels_serve:
-            # The batch asks for the paths of the search that its fields need.
-            batch.compute_paths = lambda search: self.reader.paths(stored, search)
-        return batch
-
-    def _stored_maps(self, map_numbers: Ints) -> StoredMaps:
-        stored = self.reader.locate(map_numbers)
-        return self.reader.stored_maps(stored, self.reader.grids(stored))
-
-    def _map_indices(self, map_numbers: Ints) -> Ints:
-        return self.reader.map_indices(self.reader.locate(map_numbers))
-
-    def _radius_in_cells(self) -> float:
-        radius = self.serving.radius
-        return radius / self.reader.root.resolution if radius else 0.0
-
-    def _stored_rooms(self, map_numbers: Ints) -> Rooms:
-        """Return the rooms of maps as their shards hold them."""
-        return self.reader.rooms(self.reader.locate(map_numbers), self.serving.search)
-
-    def _seed_points(self, map_numbers: Ints) -> Ints:
-        return self._stored_rooms(map_numbers).seed_points
-
-    def _rooms(
-        self, map_numbers: Ints, grids: Bytes, compute_stored_maps: Callable[[], StoredMaps]
-    ) -> Rooms:
-        return (
-            self._stored_rooms(map_numbers)
-            if self._labels_serve
-            else super()._rooms(map_numbers, grids, compute_stored_maps)
-        )
-
-    def _substitutes(self, indices: Ints, epoch: int, numbers: Ints) -> Ints:
-        """Draw each map from the whole split, so that no map replaces more others than the rest."""
-        seed = np.uint64(self.serving.sampling_seed)
-        return draw_substitutes(seed, indices, epoch, numbers, len(self.reader))
-
-    def _tried_text(self, tries: int) -> str:
-        """Say that the maps of a small split were tried several times."""
-        map_count = len(self.reader)
-        if tries <= map_count:
-            return super()._tried_text(tries)
-        return f"{tries:,} tries were made on the maps of the split, {map_count:,} in number,"
-
-
-def _field_tensor(name: str, values: Any, count: int) -> Tensor:
-    """Return what a field function of the user returned for ``count`` problems, as a tensor.
-
-    Raises:
-        ValueError: it is no tensor with a row for each problem.
-    """
-    try:
-        tensor = torch.as_tensor(values)
-    except (TypeError, ValueError, RuntimeError):
-        returned = "None" if values is None else f"a {type(values).__name__}"
-    else:
-        if tensor.ndim and len(tensor) == count:
-            return tensor
-        returned = f"a tensor of shape {tuple(tensor.shape)}"
-    raise ValueError(
-        f"fields: the function {name} returned {returned} for a batch of {count} problems, "
-        f"expected a tensor whose first dimension is {count}"
-    )
-
-
-def _transformed(batch: Batch, seed: int, epoch: int) -> Batch:
-    """Return a batch after the symmetries that are drawn for its problems.
-
-    Maps, cells, paths and seed points are transformed alike, and other fields are computed from
-    these.
-    """
-    rows, columns = batch.grids.shape[1:]
-    codes = sample_symmetries(np.uint64(seed), epoch, batch.problems, rows == columns)
-
-    def transform(cells: Ints, cells_per_problem: Ints | int = 1) -> Ints:
-        """Return cells (..., 2) of all problems, one problem after another."""
-        cell_codes = np.repeat(codes, cells_per_problem)
-        flat_cells = cells.reshape(-1, 2)
-        return transform_cells(flat_cells, cell_codes, rows, columns).reshape(cells.shape)
-
-    def compute_paths(search: str) -> Paths:
-        paths = (batch if search == batch.search else batch.with_astar).paths
-        return paths._replace(cells=transform(paths.cells, np.diff(paths.offsets)))
-
-    def compute_rooms() -> Rooms:
-        seed_points = batch.rooms.seed_points
-        return batch.rooms._replace(seed_points=transform(seed_points, seed_points.shape[1]))
-
-    return replace(
-        batch,
-        grids=transform_grids(batch.grids, codes),
-        starts=transform(batch.starts),
-        goals=transform(batch.goals),
-        compute_paths=compute_paths,
-        compute_rooms=compute_rooms,
-        compute_stored_maps=lambda: batch.stored_maps,
-        symmetries=codes,
-    )

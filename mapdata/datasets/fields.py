@@ -13,7 +13,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from mapdata.arrays import Array, Bytes, Float32s, Floats, Ints, offsets_of, summary
+from mapdata.arrays import Array, Bytes, Float32s, Floats, Ints, summary
 from mapdata.checks import check_count, check_flag
 from mapdata.datasets.field_kernels import (
     GoalFields,
@@ -27,6 +27,7 @@ from mapdata.datasets.field_kernels import (
 from mapdata.datasets.sample import padded_path_length
 from mapdata.datasets.tiles import Tiles
 from mapdata.movement import Movement
+from mapdata.problems.drawing import Paths
 from mapdata.problems.symmetry import transform_grids
 from mapdata.search.api import SEARCHES
 from mapdata.search.footprint import clearances, without_occupied
@@ -35,31 +36,6 @@ from mapdata.search.lattice import BFS, UNIT, move_rule
 from mapdata.search.lattice import hardness as hardness_of
 from mapdata.search.map_stack import MapStack
 from mapdata.search.taut import NOT_FREE, robot_of, write_waypoints
-
-
-class Paths(NamedTuple):
-    """The paths of a batch: path b is ``cells[offsets[b]:offsets[b + 1]]``, empty if there is none.
-
-    Attributes:
-        cells: (M, 2) int64, the cells of all paths, one path after another.
-        offsets: (B + 1,) int64, where each path begins, and where the last one ends.
-        iterations: (B,) int64, number of cells that the search expanded.
-    """
-
-    cells: Ints
-    offsets: Ints
-    iterations: Ints
-
-    def with_rows(self, rows: Ints, others: Paths, places: Ints) -> Paths:
-        """Return these paths with path ``rows[k]`` replaced by path ``places[k]`` of others."""
-        paths = np.split(self.cells, self.offsets[1:-1])
-        other_paths = np.split(others.cells, others.offsets[1:-1])
-        for row, place in zip(rows, places, strict=True):
-            paths[row] = other_paths[place]
-        iterations = self.iterations.copy()
-        iterations[rows] = others.iterations[places]
-        lengths = [len(path) for path in paths]
-        return Paths(np.concatenate(paths), offsets_of(lengths), iterations)
 
 
 class Rooms(NamedTuple):
@@ -72,18 +48,6 @@ class Rooms(NamedTuple):
 
     matrix: Float32s
     seed_points: Ints
-
-
-class StoredMaps(NamedTuple):
-    """The maps of a batch as they are stored or generated, before symmetries and inflation.
-
-    Attributes:
-        numbers: (B,) int64, number of each map in its dataset.
-        maps: B maps.
-    """
-
-    numbers: Ints
-    maps: MapStack
 
 
 def _no_known_paths(search: str) -> None:
@@ -107,6 +71,8 @@ class Batch:
         problems: (B,) int64, numbers of the problems in their split.
         compute_map_indices: returns the number of each map in the dataset, as `map_index` has it.
         compute_rooms: returns connection matrices and seed points.
+        compute_map_numbers: returns the number of each stored map in its dataset or problem set,
+            for errors.
         compute_stored_maps: returns the maps before symmetries and inflation.
         symmetries: (B,) int64, code of the symmetry of each map (`mapdata.problems.symmetry`); 0
             without ``augment``.
@@ -127,7 +93,8 @@ class Batch:
     problems: Ints
     compute_map_indices: Callable[[], Ints]
     compute_rooms: Callable[[], Rooms]
-    compute_stored_maps: Callable[[], StoredMaps]
+    compute_map_numbers: Callable[[], Ints]
+    compute_stored_maps: Callable[[], MapStack]
     symmetries: Ints
     requested_fields: tuple[str, ...]
     max_length: int | None = None
@@ -165,24 +132,24 @@ class Batch:
         return replace(self, search="astar")
 
     @cached_property
-    def stored_maps(self) -> StoredMaps:
+    def stored_maps(self) -> MapStack:
         """The maps before symmetries and inflation."""
         return self.compute_stored_maps()
 
     @property
     def map_numbers(self) -> Ints:
         """(B,) int64, number of each stored map in its dataset or problem set."""
-        return self.stored_maps.numbers
+        return self.compute_map_numbers()
 
     @property
     def stored_grids(self) -> Bytes:
         """(B, H, W) uint8, occupancy before symmetries and inflation."""
-        return self.stored_maps.maps.grids
+        return self.stored_maps.grids
 
     @property
     def stored_terrain(self) -> Bytes | None:
         """(B, H, W) uint8, terrain before symmetries and inflation; None without terrain."""
-        return self.stored_maps.maps.terrain if self.has_terrain else None
+        return self.stored_maps.terrain if self.has_terrain else None
 
     @cached_property
     def obstacles(self) -> Bytes:

@@ -7,20 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from mapdata.arrays import Ints
 from mapdata.datasets.arguments import DEFAULT_FIELDS, FieldFunction, Serving, Transform
-from mapdata.datasets.dataset import ProblemDataset
-from mapdata.datasets.fields import (
-    Batch,
-    Paths,
-    Rooms,
-    StoredMaps,
-    room_matrices,
-)
+from mapdata.datasets.batch_sources import SetSource
 from mapdata.datasets.info import DatasetInfo, field_infos
+from mapdata.datasets.problem_dataset import ProblemDataset
 from mapdata.describe.dataset_card import movement_text
-from mapdata.problems.problem_set import ProblemSet, selected_paths
-from mapdata.search.map_stack import MapStack
+from mapdata.problems.problem_set import ProblemSet
 
 
 class ProblemSetDataset(ProblemDataset):
@@ -53,8 +45,6 @@ class ProblemSetDataset(ProblemDataset):
     (20, (8, 1, 64, 64))
     """
 
-    _opened = ()
-
     def __init__(
         self,
         problem_set: ProblemSet,
@@ -84,17 +74,11 @@ class ProblemSetDataset(ProblemDataset):
         )
         super().__init__(None, serving)
         self.problem_set = problem_set
-        self.movement = problem_set.movement
-        self.map_size = problem_set.map_size
-        self.has_terrain = problem_set.has_terrain
-        self._check_fields_on_terrain()
+        self._open()
+        self._check_on_maps()
 
     def _open(self) -> None:
-        """Open nothing: the problems are in memory, and pickled with the dataset."""
-
-    def __len__(self) -> int:
-        """Return the number of problems."""
-        return len(self.problem_set)
+        self.source = SetSource(self.problem_set, self.serving)
 
     def __repr__(self) -> str:
         return (
@@ -122,52 +106,11 @@ class ProblemSetDataset(ProblemDataset):
             fields=field_infos(self._load(np.array([0]), 0)) if len(self) else None,
         )
 
-    def _served(self) -> str:
+    def served_text(self) -> str:
+        """Return which problems are served, in words."""
         rule = movement_text(self.movement, self.has_terrain)
         return f"{self.problem_set.description}; {rule}"
 
-    def _problems_text(self) -> str:
+    def problems_text(self) -> str:
         """Return the hash of the problems; sets that differ in their description alone are one."""
         return f"problem set {self.problem_set.content_hash[:12]}"
-
-    def _problems(self, indices: Ints, epoch: int) -> Batch:
-        del epoch  # the problems are the same in all epochs
-        search = self.serving.search
-        stored_maps = self._stored_maps(indices)
-        numbers, maps = stored_maps
-        starts = self.problem_set.starts[indices]
-        goals = self.problem_set.goals[indices]
-
-        def compute_rooms() -> Rooms:
-            seed_points = np.stack((starts, goals), axis=1)
-            matrices = room_matrices(search, numbers, maps, seed_points, self.movement)
-            return Rooms(matrices, seed_points)
-
-        return Batch(
-            movement=self.movement,
-            search=search,
-            grids=maps.grids,
-            starts=starts,
-            goals=goals,
-            problems=self.problem_set.problem_numbers[indices],
-            compute_map_indices=numbers.copy,
-            compute_rooms=compute_rooms,
-            compute_stored_maps=lambda: stored_maps,
-            symmetries=np.zeros(len(indices), np.int64),
-            requested_fields=self._field_names,
-            max_length=self.serving.max_length,
-            compute_paths=lambda search: (
-                self._optimal_paths(indices) if search == "astar" else None
-            ),
-            has_terrain=self.has_terrain,
-        )
-
-    def _stored_maps(self, indices: Ints) -> StoredMaps:
-        """Return copies of the maps of problems ``indices``, for one batch alone."""
-        maps = MapStack(*self.problem_set.maps_of(indices))
-        return StoredMaps(self.problem_set.map_indices[indices], maps)
-
-    def _optimal_paths(self, indices: Ints) -> Paths:
-        """Return the paths of problems ``indices`` that A* has found for the whole set."""
-        optimal = selected_paths(self.problem_set.optimal, indices)
-        return Paths(optimal.cells, optimal.offsets, optimal.iterations)

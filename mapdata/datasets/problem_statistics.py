@@ -44,16 +44,16 @@ class Problems(Protocol):
     def __len__(self) -> int:
         """Return the number of problems of an epoch."""
 
-    def _problems(self, indices: Ints, epoch: int) -> Batch:
+    def batch_of(self, indices: Ints, epoch: int) -> Batch:
         """Return problems of an epoch, before any symmetry."""
 
-    def _own_maps(self, problems: Ints) -> Ints | None:
+    def own_maps(self, indices: Ints) -> Ints | None:
         """Return the maps on which problems are drawn first, as ``map_index`` numbers them.
 
         None for problems that are not drawn, and so never on another map.
         """
 
-    def _served(self) -> str:
+    def served_text(self) -> str:
         """Return which problems are served, in words."""
 
 
@@ -102,10 +102,10 @@ def measure(
         for field in fields(_Measured)
     }
     return ProblemStatistics.measure(
-        served=dataset._served(),
+        served=dataset.served_text(),
         problems=count,
         has_terrain=dataset.has_terrain,
-        is_drawn=dataset._own_maps(none) is not None,
+        is_drawn=dataset.own_maps(none) is not None,
         **measured,
     )
 
@@ -155,13 +155,13 @@ def map_digests(batch: Batch) -> tuple[list[bytes], list[bytes]]:
 
 def _measured_batch(dataset: Problems, indices: Ints, epoch: int) -> _Measured:
     """Return what is measured of problems ``indices`` of an epoch."""
-    batch = dataset._problems(indices, epoch)
+    batch = dataset.batch_of(indices, epoch)
     batch.requested_fields = _FIELDS
     optimal_moves = batch.goal_fields.optimal_moves
     optimal_mask = batch.goal_fields.optimal_mask
     # Shortest paths are those of least cost, which BFS does not find on terrain and under 8 moves.
     by_cost = batch.with_astar
-    own_maps = dataset._own_maps(batch.problems)
+    own_maps = dataset.own_maps(batch.problems)
     map_indices = batch.compute_map_indices()
     exact, symmetric = map_digests(batch)
     return _Measured(

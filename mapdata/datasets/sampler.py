@@ -13,7 +13,7 @@ from torch.utils.data.distributed import DistributedSampler
 
 from mapdata.arrays import Ints, UInt32s
 from mapdata.checks import check_count
-from mapdata.datasets.dataset import ProblemDataset
+from mapdata.datasets.problem_dataset import ProblemDataset
 from mapdata.datasets.sample import Sample
 from mapdata.jit import Int, kernel
 from mapdata.rng import ORDER, block
@@ -260,7 +260,7 @@ class EpochSampler(DistributedSampler[Any]):
             "batch_size": self.batch_size,
             "problems": len(dataset),  # type: ignore[arg-type]
             "problems_text": (
-                dataset._problems_text() if isinstance(dataset, ProblemDataset) else None
+                dataset.problems_text() if isinstance(dataset, ProblemDataset) else None
             ),
             "ranks": self._rank()[1],
             "sampling_seed": self.sampling_seed,

@@ -17,9 +17,10 @@ from torch.utils.data import Dataset
 from mapdata._version import __version__
 from mapdata.arrays import Array, Ints
 from mapdata.checks import check_choice, check_count, check_flag, did_you_mean
-from mapdata.datasets.dataset import MapDataset, ProblemDataset, SampledProblemDataset
+from mapdata.datasets.dataset import MapDataset
 from mapdata.datasets.fields import FIELDS
 from mapdata.datasets.online import OnlineMapDataset
+from mapdata.datasets.problem_dataset import ProblemDataset
 from mapdata.datasets.problem_set_dataset import ProblemSetDataset
 from mapdata.datasets.problem_statistics import map_digests, measure
 from mapdata.describe.dataset_card import counted
@@ -625,7 +626,7 @@ def _on_first_maps(
         wanted: how many problems are returned at most.
     """
     epoch = int(numbers[0]) // len(dataset)
-    batch = dataset._problems(numbers % len(dataset), epoch)
+    batch = dataset.batch_of(numbers % len(dataset), epoch)
     _, digests = map_digests(batch)
     map_indices = batch.compute_map_indices().tolist()
     found: list[int] = []
@@ -763,8 +764,7 @@ def _write(
             advance(0, f"{tried:,} maps tried")
 
         for part in parts:
-            if isinstance(part.dataset, SampledProblemDataset):
-                part.dataset.report_tried = report_tried
+            part.dataset.report_tried = report_tried
             for served in part.batches(max_batch):
                 indices_of_batches[part.split].append(served["map_index"])
                 columns = {name: served[name] for name in fields}

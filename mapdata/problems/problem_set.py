@@ -6,58 +6,39 @@ import hashlib
 import math
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mapdata.arrays import Array, Bytes, Flags, Floats, Ints, brief_text, offsets_of, places_of_mask
 from mapdata.checks import check_choice, check_count, check_seed
 from mapdata.generators.generator import identity
-from mapdata.generators.maps import Maps
 from mapdata.generators.recipe import RecipeLike, as_recipe, generate
 from mapdata.hashing import canonical_json
-from mapdata.limits import SPLITS, Size
+from mapdata.limits import SPLITS
 from mapdata.movement import Movement, check_movement
-from mapdata.problems.nearest import nearest_text, nothing_seen, see_values
-from mapdata.problems.sampling import sample_problems, solve_pairs
+from mapdata.problems.drawing import DRAWS_OF_SETS, Drawing, GivenMaps
+from mapdata.problems.map_stream import MapStream, draw_problems, first_maps
 from mapdata.problems.set_file import StoredSet, different_maps, read_set, write_set
-from mapdata.problems.sources import (
-    Random,
-    Route,
-    Source,
-    SourceLike,
-    check_possible,
-    plain_text,
-    problem_source,
-)
-from mapdata.problems.substitutes import RARE_SHARE, most_maps, say_rare
-from mapdata.search.api import BatchResult, check_cost, search_batch
+from mapdata.problems.sources import Random, SourceLike, problem_source
+from mapdata.search.api import BatchResult, search_batch
 from mapdata.search.arguments import as_grid, as_terrain
-from mapdata.search.footprint import min_squared_clearance, occupies_cells
-from mapdata.search.lattice import ASTAR, HARD, hardness, move_rule
+from mapdata.search.footprint import min_squared_clearance
+from mapdata.search.lattice import HARD, hardness
 from mapdata.search.map_stack import MapStack
 from mapdata.shards.files import StrPath
 from mapdata.shards.locations import Locations
 from mapdata.shards.root import Root
-from mapdata.shards.workers import bar
-
-_DRAWS = (0, 1000)
-"""First and last (excluded) draw that is tried on a map. A dataset tries fewer of them before it
-takes another map.
-"""
 
 _PART_CELLS = 2**24
 """Cells of the repeated maps of the problems that are solved at a time."""
 
 _CHUNK_SIZE = 256
 """Maps that are drawn at a time."""
-
-_PROBLEMS_AT_ONCE = 16
-"""Problems that are sampled between two steps of a progress bar, at least those of one map."""
 
 _MAPS_PER_HARD_PROBLEM = 1000
 """Maps that are tried for each hard problem. Where hard problems are rarer, nobody would wait."""
@@ -512,28 +493,29 @@ class ProblemSet:
             maps = _MAPS_PER_HARD_PROBLEM * check_count("until_hard", until_hard)
         recipe = as_recipe(recipe, seed=seed, maps=maps)
 
-        def batches() -> Iterator[_MapBatch]:
+        def batches() -> Iterator[GivenMaps]:
             for start in range(0, recipe.maps, _CHUNK_SIZE):
                 chunk = range(start, min(start + _CHUNK_SIZE, recipe.maps))
-                yield _map_batch(generate(recipe, indices=chunk), slice(None))
+                yield GivenMaps.of(generate(recipe, indices=chunk))
 
-        source = problem_source(problems)
-        return _sample_until(
-            batches,
-            problems=source,
-            until_hard=until_hard,
-            seed=recipe.seed,
-            movement=movement or recipe.generator.movement,
-            min_clearance=min_squared_clearance(radius, recipe.generator.resolution),
-            source=f"the maps with identity {identity(recipe.generator, recipe.seed)[:12]}",
-            map_count=recipe.maps,
-            map_size=recipe.generator.map_size,
-            has_terrain=recipe.generator.has_terrain,
-            # All maps of a recipe are alike: where the first ones have no problem, all may have
-            # none.
-            tries_all=False,
-            progress=progress,
+        generator = recipe.generator
+        stream = MapStream(
+            batches(),
+            f"the maps with identity {identity(generator, recipe.seed)[:12]}",
+            recipe.maps,
+            generator.map_size,
+            has_terrain=generator.has_terrain,
+            are_alike=True,
         )
+        drawing = Drawing(
+            problem_source(problems),
+            recipe.seed,
+            movement or generator.movement,
+            DRAWS_OF_SETS,
+            min_clearance=min_squared_clearance(radius, generator.resolution),
+            radius=radius,
+        )
+        return _drawn_set(stream, drawing, until_hard, progress=progress)
 
     @staticmethod
     def read(
@@ -591,27 +573,39 @@ class ProblemSet:
         # Without a radius, roots may have several resolutions, which `dataset.resolution` refuses.
         min_clearance = min_squared_clearance(radius, dataset.resolution) if radius else 0
         max_maps = sys.maxsize if maps is None else check_count("maps", maps)
-
-        def batches() -> Iterator[_MapBatch]:
-            stored = (
-                _map_batch(labels.maps, labels.maps.split == code) for labels in dataset.labels()
-            )
-            return _first_maps(stored, max_maps)
-
-        return _sample_until(
-            batches,
-            problems=problem_source(problems),
-            until_hard=until_hard,
-            seed=check_seed(seed),
-            movement=movement or dataset.movement,
-            min_clearance=min_clearance,
-            source=f"split {split} of {dataset}",
-            map_count=min(max_maps, map_counts[split]),
-            map_size=dataset.map_size,
+        shards = (labels.maps for labels in dataset.labels())
+        of_split = (GivenMaps.of(maps_).select(maps_.split == code) for maps_ in shards)
+        stream = MapStream(
+            first_maps(of_split, max_maps),
+            f"split {split} of {dataset}",
+            min(max_maps, map_counts[split]),
+            dataset.map_size,
             has_terrain=dataset.has_terrain,
-            tries_all=True,
-            progress=progress,
+            are_alike=False,
         )
+        drawing = Drawing(
+            problem_source(problems),
+            check_seed(seed),
+            movement or dataset.movement,
+            DRAWS_OF_SETS,
+            min_clearance=min_clearance,
+            radius=radius,
+        )
+        return _drawn_set(stream, drawing, until_hard, progress=progress)
+
+
+def _drawn_set(
+    stream: MapStream, drawing: Drawing, until_hard: int | None, *, progress: bool
+) -> ProblemSet:
+    """Return the set of the problems that `draw_problems` draws."""
+    drawn = draw_problems(stream, drawing, until_hard, progress=progress)
+    first, last = drawn.numbers[0], drawn.numbers[-1]
+    description = f"maps {first} to {last} of {stream.place}, problems by seed {drawing.seed}"
+    if drawing.min_clearance > 0:
+        cells = math.sqrt(drawing.min_clearance) / 2  # it is in half cells, squared
+        description += f", inflated by {cells:.3g} cells"
+    grids, terrain = drawn.maps
+    return ProblemSet(grids, drawn.starts, drawn.goals, drawing.movement, description, terrain)
 
 
 def _are_own(maps: MapStack, rows: Ints) -> bool:
@@ -728,301 +722,3 @@ def _load(path: Path) -> tuple[ProblemSet, str | None]:
         reason = str(error).removeprefix(f"{path}: ")
         raise ValueError(f"{path}: holds no saved problems ({reason})") from None
     return problem_set, stored.content_hash
-
-
-class _MapBatch(NamedTuple):
-    """B maps to sample problems on.
-
-    With several problems per map, each map is there as often, one after another.
-
-    Attributes:
-        indices: (B,) int64, number of each map.
-        keys: (B,) int64, number of the problem, which its draws depend on.
-        maps: the maps.
-        seed_points: (B, R, 2) int64.
-        seed_point_counts: (B,) int64, number of seed points of each map.
-    """
-
-    indices: Ints
-    keys: Ints
-    maps: MapStack
-    seed_points: Ints
-    seed_point_counts: Ints
-
-    def select(self, rows: Flags | Ints | slice) -> _MapBatch:
-        """Return the maps that ``rows`` selects."""
-        return _MapBatch(
-            self.indices[rows],
-            self.keys[rows],
-            self.maps.select(rows),
-            self.seed_points[rows],
-            self.seed_point_counts[rows],
-        )
-
-    def repeated(self, per_map: int) -> _MapBatch:
-        """Return the maps with each of them ``per_map`` times."""
-        batch = self.select(np.repeat(np.arange(len(self.indices)), per_map))
-        first_keys = batch.indices * per_map
-        return batch._replace(keys=first_keys + np.tile(np.arange(per_map), len(self.indices)))
-
-    def inflated(self, min_clearance: int) -> _MapBatch:
-        """Return the maps after inflation."""
-        return self._replace(maps=self.maps.inflated(min_clearance))
-
-
-class _SampledProblems(NamedTuple):
-    """M sampled problems with a path.
-
-    Attributes:
-        indices: (M,) int64, number of the map of each problem.
-        maps: M maps.
-        starts: (M, 2) int64.
-        goals: (M, 2) int64.
-    """
-
-    indices: Ints
-    maps: MapStack
-    starts: Ints
-    goals: Ints
-
-    def first(self, count: int) -> _SampledProblems:
-        """Return the first ``count`` problems, or all if there are fewer."""
-        return _SampledProblems(
-            self.indices[:count],
-            self.maps.select(slice(count)),
-            self.starts[:count],
-            self.goals[:count],
-        )
-
-
-def _map_batch(maps: Maps, rows: Flags | slice) -> _MapBatch:
-    """Return the maps that ``rows`` selects."""
-    stack = MapStack(maps.occupancy, maps.terrain)
-    return _MapBatch(maps.index, maps.index, stack, maps.seed_points, maps.rooms).select(rows)
-
-
-def _first_maps(batches: Iterable[_MapBatch], max_maps: int) -> Iterator[_MapBatch]:
-    """Yield batches that together hold the first ``max_maps`` maps of ``batches``."""
-    remaining = max_maps
-    for batch in batches:
-        yield batch.select(slice(remaining))
-        remaining -= min(len(batch.indices), remaining)
-        if remaining == 0:
-            return
-
-
-def _parts(batches: Iterable[_MapBatch], per_map: int) -> Iterator[_MapBatch]:
-    """Yield the maps of all batches, some of them at a time, each ``per_map`` times."""
-    maps_at_once = max(_PROBLEMS_AT_ONCE // per_map, 1)
-    for batch in batches:
-        for first in range(0, len(batch.indices), maps_at_once):
-            yield batch.select(slice(first, first + maps_at_once)).repeated(per_map)
-
-
-def _sample_until(
-    batches: Callable[[], Iterable[_MapBatch]],
-    *,
-    problems: Source,
-    until_hard: int | None,
-    seed: int,
-    movement: Movement,
-    min_clearance: int,
-    source: str,
-    map_count: int,
-    map_size: Size,
-    has_terrain: bool,
-    tries_all: bool,
-    progress: bool,
-) -> ProblemSet:
-    """Sample the problems of each map of the batches, until there are enough hard problems.
-
-    Args:
-        batches: returns the maps.
-        problems: the source of the problems.
-        until_hard: as for `ProblemSet.sample`.
-        seed: of the problems.
-        movement: the rule of moves.
-        min_clearance: the clearance from which on cells are free, in the unit of
-            `min_squared_clearance`.
-        source: says where the maps come from in the description and in errors.
-        map_count: number of maps.
-        map_size: (rows, columns) of the maps.
-        has_terrain: whether the maps have terrain.
-        tries_all: whether all maps are tried, however many of the first ones have no problem.
-        progress: whether a progress bar shows how many maps were tried.
-    """
-    if problems.unsolvable:
-        raise ValueError(
-            f"problems: got {problems!r}, expected unsolvable=False: a set holds problems that "
-            "have a path"
-        )
-    if until_hard is not None:
-        check_count("until_hard", until_hard)
-    check_possible(problems, map_size, movement, has_terrain=has_terrain)
-    most = most_maps(problems, map_size, _DRAWS[1] * problems.per_map)
-    parts: list[_SampledProblems] = []
-    found = 0  # problems
-    has_said_rare = progress  # a bar says more
-    hard_count = 0
-    tried = 0  # maps
-    with bar(progress, map_count, unit=" maps tried") as advance:
-        for batch in _parts(batches(), problems.per_map):
-            maps_in_batch = len(batch.indices) // problems.per_map
-            part = _sample_on(batch.inflated(min_clearance), problems, seed, movement)
-            found += len(part.indices)
-            if until_hard is not None:
-                part, hard_in_part = _until_hard(part, until_hard - hard_count, movement)
-                hard_count += hard_in_part
-            if len(part.indices):
-                parts.append(part)
-            tried += maps_in_batch
-            advance(maps_in_batch)
-            failed = tried - found / problems.per_map  # in maps
-            if not has_said_rare and failed >= most / RARE_SHARE:
-                has_said_rare = True
-                say_rare(
-                    f"{plain_text(problems)}: {found:,} found on {tried:,} of {map_count:,} maps; "
-                    "progress=True shows a bar, and wider conditions are faster"
-                )
-            if hard_count == until_hard or (not parts and not tries_all and tried >= most):
-                break
-    if not parts:
-        tried_batches = _parts(_first_maps(batches(), tried), problems.per_map)
-        nearest = _nearest_text(tried_batches, problems, seed, movement, min_clearance)
-        robot = ""
-        if occupies_cells(min_clearance):
-            robot = f" for a robot with a radius of {_inflation(min_clearance):.3g} cells"
-        remedy = "wider conditions" if isinstance(problems, Random) else "other maps"
-        if robot:
-            remedy += ", or a smaller radius"
-        raise ValueError(
-            f"{source}: no map has a problem that meets {plain_text(problems)}{robot}; {tried:,} "
-            f"maps were tried{nearest}; take {remedy}"
-        )
-    if until_hard is not None and hard_count < until_hard:
-        raise ValueError(
-            f"until_hard: got {until_hard}, found only {hard_count} hard problems on {source}"
-        )
-    indices = np.concatenate([part.indices for part in parts])
-    description = f"maps {indices[0]} to {indices[-1]} of {source}, problems by seed {seed}"
-    if min_clearance > 0:
-        description += f", inflated by {_inflation(min_clearance):.3g} cells"
-    maps = MapStack.joined([part.maps for part in parts])
-    return ProblemSet(
-        maps.grids,
-        np.concatenate([part.starts for part in parts]),
-        np.concatenate([part.goals for part in parts]),
-        movement,
-        description,
-        maps.terrain,
-    )
-
-
-def _nearest_text(
-    batches: Iterable[_MapBatch],
-    problems: Source,
-    seed: int,
-    movement: Movement,
-    min_clearance: int,
-) -> str:
-    """Return the values nearest to the conditions on maps without a problem, for an error."""
-    if not isinstance(problems, Random):
-        return ""
-    seen = nothing_seen()
-    for batch in batches:
-        see_values(
-            seen,
-            batch.maps.inflated(min_clearance),
-            _given_goals(batch, problems),
-            seed,
-            0,  # epoch
-            batch.keys,
-            _DRAWS,
-            problems,
-            movement,
-        )
-    return f", and {nearest_text(seen, problems)}"
-
-
-def _inflation(min_clearance: int) -> float:
-    """Return a clearance in cells; ``min_clearance`` is in half cells, squared."""
-    return math.sqrt(min_clearance) / 2
-
-
-def _sample_on(
-    batch: _MapBatch, problems: Source, seed: int, movement: Movement
-) -> _SampledProblems:
-    """Sample a problem on each map; maps without one that meets the conditions are left out."""
-    if isinstance(problems, Random):
-        ends = _sample_random(batch, problems, seed, movement)
-    else:
-        batch = batch.select(batch.seed_point_counts >= 2)  # the maps that have a pair
-        ends = _sample_pairs(batch, isinstance(problems, Route), seed, movement)
-    has_problem = ends[:, 0] >= 0
-    return _SampledProblems(
-        batch.indices[has_problem],
-        batch.maps.select(has_problem),
-        starts=ends[has_problem, :2],
-        goals=ends[has_problem, 2:],
-    )
-
-
-def _given_goals(batch: _MapBatch, problems: Random) -> Ints | None:
-    """Return the goals of random problems on maps, (B, 2); None if goals are drawn."""
-    if not problems.to_first_seed_point:
-        return None
-    return np.ascontiguousarray(batch.seed_points[:, 0])
-
-
-def _sample_random(batch: _MapBatch, problems: Random, seed: int, movement: Movement) -> Ints:
-    """Return the start and goal of a random problem on each map, (B, 4), -1 where there is none."""
-    arguments = (
-        _given_goals(batch, problems),
-        np.uint64(seed),
-        0,  # epoch
-        batch.keys,
-        _DRAWS,
-        *problems.conditions,
-        move_rule(movement),
-    )
-    ends, failed, high_cost = sample_problems(batch.maps, *arguments)
-    check_cost(batch.indices, failed, high_cost)
-    return ends
-
-
-def _sample_pairs(batch: _MapBatch, only_route: bool, seed: int, movement: Movement) -> Ints:
-    """Return the cells of a pair of seed points of each map, (B, 4), -1 where none has a path.
-
-    With ``only_route`` the pairs are those of consecutive seed points.
-    """
-    epoch = 0
-    keep_unsolvable = False
-    ends, solved = solve_pairs(
-        batch.maps,
-        batch.seed_points,
-        batch.seed_point_counts,
-        np.uint64(seed),
-        epoch,
-        batch.indices,
-        only_route,
-        keep_unsolvable,
-        ASTAR,
-        move_rule(movement),
-    )
-    check_cost(batch.indices, solved.done, solved.high_cost)
-    return ends
-
-
-def _until_hard(
-    sampled: _SampledProblems, max_hard: int, movement: Movement
-) -> tuple[_SampledProblems, int]:
-    """Return the problems up to the hard problem number ``max_hard``, and how many are hard.
-
-    All problems are returned if fewer of them are hard.
-    """
-    _, maps, starts, goals = sampled
-    cost = search_batch("astar", maps.grids, starts, goals, movement, terrain=maps.terrain).cost
-    is_hard = hardness(cost, starts, goals, movement, maps.min_cell_costs) >= HARD
-    hard_rows = np.flatnonzero(is_hard)[:max_hard]
-    row_count = hard_rows[-1] + 1 if len(hard_rows) == max_hard else len(is_hard)
-    return sampled.first(row_count), len(hard_rows)

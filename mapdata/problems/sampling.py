@@ -6,6 +6,7 @@ A problem is a function of (sampling seed, epoch, index), never of the state of 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -106,26 +107,18 @@ def sample_problems(
         map has a cost that is too high to be exact, and this cost, as kernels return it. They are B
         and 0 if all costs are exact; otherwise the problems from that one on are not sampled.
     """
-    # An argument of None makes numba leave out the kernels that would use it, which take seconds to
-    # compile.
-    far_distance = None
-    limits = None
-    wide_limits = None
-    neighbours = None
     size = maps.grids.shape[1:]
     lattice, scratch = search_memory(size, rule)
-    all_bands = ((min_distance, math.inf), OPEN, OPEN) if bands is None else bands
     map_arrays, cell_costs = maps.ground
-    has_uniform_costs = maps.terrain is None
-    if has_uniform_costs and bands is None:
-        far_distance = min_distance
-    elif has_uniform_costs and bands is not None:
-        level_limits = _level_limits(5 * sum(size) // 4, bands, rule)
-        if rule[0] == NO_DIAGONALS:
-            limits = level_limits
-        else:
-            wide_limits = level_limits
-            neighbours = np.zeros(lattice.cells, np.uint8)
+    if maps.terrain is not None:
+        method = _Method(cell_costs=cell_costs)
+    elif bands is None:
+        method = _Method(far_distance=min_distance)
+    else:
+        limits = _level_limits(5 * sum(size) // 4, bands, rule)
+        has_diagonals = rule[0] != NO_DIAGONALS
+        neighbours = np.zeros(lattice.cells, np.uint8) if has_diagonals else None
+        method = _Method(limits=limits, neighbours=neighbours)
     ends, row, high_cost = _sample(
         map_arrays,
         goals,
@@ -133,16 +126,37 @@ def sample_problems(
         epoch,
         indices,
         attempts,
-        all_bands,
-        far_distance,
-        limits,
-        wide_limits,
-        neighbours,
-        cell_costs,
+        ((min_distance, math.inf), OPEN, OPEN) if bands is None else bands,
+        *method,
         lattice,
         scratch,
     )
     return ends, row, high_cost
+
+
+class _Method(NamedTuple):
+    """How the starts of a goal are found: one of four methods, by what is not None.
+
+    numba leaves out the kernels that would use an argument of None, which take seconds to compile.
+
+    | what is given | kernel | for which problems |
+    |---|---|---|
+    | far_distance | `_mark_far_starts` | of maps without terrain, with no other condition |
+    | limits | `_mark_starts_by_bits` | under 4 neighbours |
+    | limits and neighbours | `_mark_starts_by_jumps` | under 8 neighbours |
+    | cell_costs | `_mark_terrain_starts` | on terrain |
+
+    Attributes:
+        far_distance: the smallest cost of a path.
+        limits: from `_level_limits`. Under 8 neighbours all starts meet them, and other cells.
+        neighbours: (cells,) zeros, memory for `find_free_neighbours`.
+        cell_costs: (cells,) zeros, memory for the costs of terrain.
+    """
+
+    far_distance: float | None = None
+    limits: Ints | None = None
+    neighbours: Bytes | None = None
+    cell_costs: Bytes | None = None
 
 
 @kernel
@@ -156,18 +170,15 @@ def _sample(
     bands: Bands,
     far_distance: float | None,
     limits: Ints | None,
-    wide_limits: Ints | None,
     neighbours: Bytes | None,
     cell_costs: Bytes | None,
     lattice: Lattice,
     scratch: Scratch,
 ) -> tuple[Ints, Int, Int]:
-    """Do the work of `sample_problems`, whose arguments and results these are, but for these.
+    """Do the work of `sample_problems`, whose arguments and results these are.
 
-    ``maps``, (B, H, W), are grids or terrain. ``far_distance`` is the smallest cost, if it is the
-    only condition on maps without terrain. For others, ``limits`` are from `_level_limits` under 4
-    neighbours. Under 8 neighbours ``wide_limits`` are these, and ``neighbours`` (cells,) zeros.
-    ``cell_costs`` are (cells,) zeros for terrain.
+    ``maps``, (B, H, W), are grids or terrain. `_Method` describes the four arguments that follow
+    the bands.
     """
     count = len(maps)
     ends = np.full((count, 4), -1)
@@ -204,13 +215,14 @@ def _sample(
                         maps[b], goal, far_distance, lattice, scratch, board
                     )
                 if limits is not None:
-                    high_cost = _mark_starts_by_bits(
-                        maps[b], goal, bands, limits, lattice, scratch, board
-                    )
-                if wide_limits is not None and neighbours is not None:
-                    high_cost = _mark_starts_by_jumps(
-                        maps[b], goal, bands, wide_limits, neighbours, lattice, scratch, board
-                    )
+                    if neighbours is None:
+                        high_cost = _mark_starts_by_bits(
+                            maps[b], goal, bands, limits, lattice, scratch, board
+                        )
+                    else:
+                        high_cost = _mark_starts_by_jumps(
+                            maps[b], goal, bands, limits, neighbours, lattice, scratch, board
+                        )
                 if cell_costs is not None:
                     high_cost = _mark_terrain_starts(goal, bands, padded, lattice, scratch, board)
                 if high_cost:
@@ -676,6 +688,8 @@ def _solve_pairs(
         used = offsets[b]
         offsets[b + 1] = used
         pairs = n - 1 if only_route else n * (n - 1) // 2
+        if pairs < 1:
+            continue
         random, _, _, _ = block(seed, np.uint64(indices[b]), epoch, PROBLEM, 0)
         first_pair = bounded(random, 0, pairs - 1)
         for attempt in range(pairs):

@@ -42,8 +42,12 @@ OPEN: Limits = (0.0, math.inf)
 
 @dataclass(frozen=True)
 class _BetweenSeedPoints:
-    """The parameter that `Route` and `Pairs` share."""
+    """What `Route` and `Pairs` share."""
 
+    is_stored: ClassVar[bool] = True
+    needs_seed_points: ClassVar[bool] = True
+    goals_differ: ClassVar[bool] = False
+    remedy: ClassVar[str] = "other maps"
     per_map: ClassVar[int] = 1  # as many as the map has
     unsolvable: bool = False
 
@@ -112,6 +116,8 @@ class Random:
 
     name: ClassVar[str] = "random"
     counted: ClassVar[str] = "maps"  # in the counts of a manifest
+    is_stored: ClassVar[bool] = False
+    remedy: ClassVar[str] = "wider conditions"
     unsolvable: ClassVar[bool] = False
     distance: Band | None = None
     hardness: Band | None = None
@@ -130,6 +136,16 @@ class Random:
             if band is not None:
                 object.__setattr__(self, name, check_band(name, band))
 
+    @property
+    def needs_seed_points(self) -> bool:
+        """Whether a problem depends on the seed points of its map."""
+        return self.to_first_seed_point
+
+    @property
+    def goals_differ(self) -> bool:
+        """Whether each attempt on a map draws another goal."""
+        return not self.to_first_seed_point
+
     @cached_property
     def bands(self) -> Bands:
         """The limits of distance, hardness and length; 0 and inf where they are open."""
@@ -144,6 +160,12 @@ class Random:
 
 
 Source = Route | Pairs | Random
+"""What says which problems of a map are served.
+
+A source has a ``name``, the word for its problems in the ``counted`` numbers of a manifest, and the
+``remedy`` that an error names where no map has such a problem. ``is_stored`` says whether built
+datasets hold the problems; others are drawn, ``per_map`` of them on each map.
+"""
 
 SourceLike = str | Source | Mapping[str, Any]
 """A source of problems: `Route`, `Pairs` or `Random`; its name, such as "random"; or plain JSON.

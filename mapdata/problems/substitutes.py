@@ -5,6 +5,7 @@ docs/format.md, section 6, has these rules.
 
 from __future__ import annotations
 
+import math
 import sys
 
 import numpy as np
@@ -12,8 +13,9 @@ import numpy as np
 from mapdata.arrays import Ints
 from mapdata.jit import Int, kernel
 from mapdata.limits import Size
-from mapdata.problems.sources import Random, Source
+from mapdata.problems.sources import MAX_CELL_COST, Source
 from mapdata.rng import SUBSTITUTE, block
+from mapdata.search.lattice import MAX_PATH_COST
 
 MAX_CELLS = 4 * 10**8
 """Cells of the maps of all goals that a problem is sought for in vain, before there is an error.
@@ -37,15 +39,23 @@ def most_maps(problems: Source, map_size: Size, goals: int) -> int:
     """Return how many maps are tried for a problem before there is an error.
 
     Args:
-        problems: the problem that is sought. Only random ones have more than one goal a map.
+        problems: the problem that is sought.
         map_size: (rows, columns) of all maps.
-        goals: number of goals that are tried on a map before it counts as having no problem.
+        goals: number of attempts on a map before it counts as having no problem, if each of them
+            has another goal.
     """
-    if not isinstance(problems, Random) or problems.to_first_seed_point:
+    if not problems.goals_differ:
         goals = 1
     rows, columns = map_size
     maps = -(-MAX_CELLS // (goals * rows * columns))  # rounded up
     return min(max(maps, MIN_MAPS), MAX_MAPS)
+
+
+def may_have_high_costs(map_size: Size) -> bool:
+    """Return whether a path on terrain of this size may cost too much to be exact."""
+    rows, columns = map_size
+    most_cost = rows * columns * MAX_CELL_COST * math.sqrt(2)  # of a path through all cells
+    return most_cost > MAX_PATH_COST / 2  # costs are doubled
 
 
 @kernel

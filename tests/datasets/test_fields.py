@@ -18,7 +18,8 @@ from helpers.specs import movements
 
 from mapdata import Labels, MapDataset, Movement, OnlineMapDataset, Sample, generate, label
 from mapdata.datasets import FIELDS, Batch
-from mapdata.datasets.fields import Paths, Rooms, StoredMaps, room_matrices
+from mapdata.datasets.fields import Rooms, StoredMaps, room_matrices
+from mapdata.problems.drawing import Paths
 from mapdata.search.map_stack import MapStack
 
 Array = npt.NDArray[Any]

@@ -103,7 +103,7 @@ def test_the_name_alone_is_a_pixel_a_cell_without_the_path(root: str) -> None:
 
 def test_a_start_that_is_the_goal_is_red(root: str) -> None:
     """One of the two colours has to win; a picture always shows where a path begins."""
-    batch = MapDataset(root, "train")._problems(np.arange(3), epoch=0)
+    batch = MapDataset(root, "train").batch_of(np.arange(3), epoch=0)
     rows, columns = batch.starts.T
     colours = MazeImage()(replace(batch, goals=batch.starts))[np.arange(3), :, rows, columns]
     assert (colours == RED).all()

@@ -166,14 +166,14 @@ def test_a_start_at_its_goal_has_one_path_of_one_cell(tmp_path: Path) -> None:
     """Its hardness is 1, and nothing is divided by the heuristic 0."""
     build(tmp_path / "maps", NOISE, maps=20, workers=1)
     dataset = MapDataset(tmp_path / "maps", fields=FIELDS)
-    load = dataset._problems
+    load = dataset.batch_of
 
     def at_the_goal(indices: Any, epoch: int) -> Any:
         batch = load(indices, epoch)
         batch.starts, batch.compute_paths = batch.goals, lambda _: None
         return batch
 
-    dataset._problems = at_the_goal  # type: ignore[method-assign]
+    dataset.batch_of = at_the_goal  # type: ignore[method-assign]
     statistics = dataset.problem_statistics()
     assert statistics.no_detour is not None
     assert statistics.no_detour.value == statistics.single_path.value == 1

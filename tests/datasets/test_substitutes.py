@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from itertools import count, islice
 from pathlib import Path
@@ -21,19 +21,20 @@ from mapdata import (
     Forest,
     MapDataModule,
     MapDataset,
+    Movement,
     OnlineMapDataset,
     ProblemSet,
     Random,
     Terrain,
     build,
-    distance_field,
     generate,
 )
-from mapdata.datasets import dataset as dataset_module
-from mapdata.datasets.dataset import SampledProblemDataset
+from mapdata.datasets import batch_sources
+from mapdata.datasets.problem_dataset import ProblemDataset
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.limits import SPLITS
-from mapdata.problems.nearest import nearest_text, nothing_seen, see_value
+from mapdata.problems.drawing import DRAWS, Drawing, Search
+from mapdata.problems.substitutes import may_have_high_costs
 
 WALLS = Forest((9, 8), cover=(0.3, 0.5), sizes=(1, 1), splits=(0.5, 0.2, 0.3))
 """Small maps, of which one in three has a path of `RARE`."""
@@ -53,7 +54,7 @@ Served = tuple[int, tuple[int, int], tuple[int, int]]
 
 
 def served_by_the_text(
-    dataset: SampledProblemDataset,
+    dataset: ProblemDataset,
     index: int,
     epoch: int,
     map_at: Callable[[int], int],
@@ -85,7 +86,7 @@ def served_by_the_text(
     raise AssertionError
 
 
-def served(dataset: SampledProblemDataset, index: int, epoch: int) -> Served:
+def served(dataset: ProblemDataset, index: int, epoch: int) -> Served:
     """Return what a dataset serves."""
     batch = dataset.__getitems__([index + epoch * len(dataset)]).batch
     start, goal = batch.start[0].tolist(), batch.goal[0].tolist()
@@ -171,10 +172,12 @@ def test_a_problem_depends_on_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     order = torch.randperm(60, generator=torch.Generator().manual_seed(1))
     shuffled = again[order.tolist()]
     single = [again[i] for i in range(0, 60, 7)]
-    monkeypatch.setattr("mapdata.datasets.dataset.CELLS_AT_ONCE", 72 * 5)
+    monkeypatch.setattr("mapdata.datasets.batch_sources.CELLS_AT_ONCE", 72 * 5)
     in_parts = online(60)[:]
-    monkeypatch.setattr("mapdata.datasets.dataset.most_maps", lambda *_: 400)  # one is sought alone
-    alone = online(60)[:]
+    monkeypatch.setattr(
+        "mapdata.datasets.batch_sources.most_maps", lambda *_: 400
+    )  # one is sought alone
+    alone = online(60)[:]  # one is sought alone
     for name in ("map", "map_index", "start", "goal", "length"):
         expected = getattr(whole, name)
         assert torch.equal(getattr(rest, name), expected[40:])
@@ -193,14 +196,14 @@ def test_maps_that_are_tried_at_once_change_nothing(monkeypatch: pytest.MonkeyPa
 
     at_once = dataset()[:]
     with monkeypatch.context() as patch:
-        patch.setattr(OnlineMapDataset, "_substitutes_ahead", lambda *_: 1)
+        patch.setattr(Search, "maps_ahead", lambda *_: 1)
         assert_same(dataset()[:], at_once)
     substitutes = (at_once.map_index - torch.arange(30)) // 30
     last = int(substitutes.argmax())
     most = int(substitutes.max())
     assert most > 30  # some maps were tried at once
     for maps in (most + 1, most):
-        monkeypatch.setattr("mapdata.datasets.dataset.most_maps", lambda *_, maps=maps: maps)
+        monkeypatch.setattr("mapdata.datasets.batch_sources.most_maps", lambda *_, maps=maps: maps)
         if maps == most:
             with pytest.raises(ValueError, match=f"; {most} maps were tried for problem {last} "):
                 dataset()[last]
@@ -239,36 +242,16 @@ def test_stored_substitutes_are_spread_over_the_maps_that_have_a_problem(tmp_pat
 # --- the end ------------------------------------------------------------------------------------
 
 
-def nearest_by_the_reference(
-    dataset: SampledProblemDataset, numbers: Sequence[int], index: int
-) -> int:
-    """Return the length of the longest path to a goal that was tried on maps, one for each u."""
-    longest = 0
-    for u, number in enumerate(numbers):
-        grid = generate(WALLS, SEED, [number]).occupancy[0].tolist()
-        free = [(r, c) for r in range(9) for c in range(8) if grid[r][c] == 0]
-        for attempt in range(32):
-            word = reference.block(SAMPLING_SEED, index + u * len(dataset), 0, 1, attempt)[0]
-            goal = free[reference.bounded(word, 0, len(free) - 1)]
-            costs = reference.reference_distances(grid, goal, dataset.movement)
-            longest = max(longest, *(sum(cost) + 1 for cost in costs.values()))
-    return longest
-
-
-def test_the_end_names_the_band_the_maps_and_the_nearest_value(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_end_names_the_band_and_the_maps(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same in every batch: it is counted for each problem by itself."""
     monkeypatch.setattr("mapdata.problems.substitutes.MAX_CELLS", 32 * 72 * 30 - 1)
     problems = Random(length=(45, None))
     dataset = OnlineMapDataset(
         WALLS, SEED, 10, fields=FIELDS, problems=problems, sampling_seed=SAMPLING_SEED
     )
-    longest = nearest_by_the_reference(dataset, [4 + 10 * u for u in range(30)], 4)
     says = (
         'problems: got {"random": {"length": [45.0, null]}}: none on one map after another; '
-        "30 maps were tried for problem 4 of "
-        f"epoch 0, and the longest path seen has {longest} cells; take wider conditions"
+        "30 maps were tried for problem 4 of epoch 0; take wider conditions"
     )
     for indices in ([4], [4, 7, 2]):
         with pytest.raises(ValueError, match="none on") as error:
@@ -276,75 +259,43 @@ def test_the_end_names_the_band_the_maps_and_the_nearest_value(
         assert str(error.value) == says
 
 
-def test_a_stored_dataset_has_the_same_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("problems", "radius", "says"),
+    [
+        (Random(distance=(390, None)), 0.0, r"20 tries were .* epoch 0; take wider conditions$"),
+        (Random(hardness=(40, None)), 0.0, "take wider conditions$"),
+        (Random((None, 3), (1.5, None)), 0.0, "take wider conditions$"),
+        (Random(), 5.0, "take wider conditions, or a smaller radius than 5 m$"),
+        (Random(to_first_seed_point=True), 5.0, "or a smaller radius than 5 m$"),
+    ],
+)
+def test_a_stored_dataset_has_the_same_end(
+    problems: Random, radius: float, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Though its maps are tried again and again, and whatever the fault is."""
     root = build_small(tmp_path / "maps", maps=10)
     monkeypatch.setattr("mapdata.problems.substitutes.MAX_CELLS", 0)
-    for problems, radius, says in (
-        (Random(distance=(390, None)), 0.0, r"20 tries were .* largest distance seen is \d+ cells"),
-        (Random(hardness=(40, None)), 0.0, r"the largest hardness seen is [\d.]+; take"),
-        (Random((None, 3), (1.5, None)), 0.0, "no start met all conditions at once"),
-        (Random(), 5.0, "no goal could be reached from another cell; .* smaller radius than 5 m"),
-        (Random(to_first_seed_point=True), 5.0, "no goal could be reached from another cell"),
-    ):
-        with pytest.raises(ValueError, match=says):
-            MapDataset(root, problems=problems, radius=radius)[3]
+    with pytest.raises(ValueError, match=says):
+        MapDataset(root, problems=problems, radius=radius)[3]
 
 
-def test_the_end_on_terrain_names_costs_and_lengths(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The largest distance is that of `distance_field`; lengths are those of paths that were
-    drawn.
-    """
+@pytest.mark.parametrize("problems", [Random(distance=(9999, None)), Random(length=(72, None))])
+def test_terrain_has_the_same_end(problems: Random, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By its costs, and by the lengths of its paths."""
     monkeypatch.setattr("mapdata.problems.substitutes.MAX_CELLS", 0)
-    hills = Terrain((8, 9), scale=4)
-    largest = 0.0
-    for u in range(20):
-        maps = generate(hills, 0, [2 + 5 * u])
-        assert maps.terrain is not None
-        grid = maps.occupancy[0]
-        free = np.argwhere(grid == 0)
-        for attempt in range(32):
-            word = reference.block(SAMPLING_SEED, 2 + 5 * u, 0, 1, attempt)[0]
-            goal = free[reference.bounded(word, 0, len(free) - 1)]
-            costs = distance_field(grid, goal, terrain=maps.terrain[0])
-            largest = max(largest, float(costs.max()))
-    for problems, says in (
-        (Random(distance=(9999, None)), f"the largest distance seen is {largest:g} cells;"),
-        (Random(length=(72, None)), r"and the longest path seen has (1\d|2\d) cells;"),
-    ):
-        dataset = OnlineMapDataset(
-            hills, 0, 5, fields=("map",), problems=problems, sampling_seed=SAMPLING_SEED
-        )
-        with pytest.raises(ValueError, match=says):
-            dataset[2]
-    steep = Terrain((8, 9), costs=(7, 9))
-    near = OnlineMapDataset(steep, 0, 5, problems=Random(distance=(None, 6)))
-    with pytest.raises(ValueError, match="the smallest distance seen is 7 cells;"):
-        near[2]
-
-
-def test_the_nearest_values_on_both_sides_of_a_band() -> None:
-    """The largest value below it and the smallest one above it."""
-    seen = nothing_seen()
-    band = np.array([2.1, 2.3])
-    for value in (1.0, 2.0, 2.5, 3.0):
-        see_value(seen[0], band, value)
-        see_value(seen[2], band, value)
-    for problems, says in (
-        (Random(distance=(2.1, 2.3)), "the nearest values of distance seen are 2 and 2.5 cells"),
-        (Random(length=(2.1, 2.3)), "the nearest paths seen have 2 and 2.5 cells"),
-    ):
-        assert nearest_text(seen, problems) == says
+    dataset = OnlineMapDataset(Terrain((8, 9), scale=4), 0, 5, problems=problems)
+    with pytest.raises(ValueError, match="; 20 maps were tried for problem 2 of epoch 0; take"):
+        dataset[2]
 
 
 def test_many_maps_of_terrain_are_tried_at_once() -> None:
     """Small ones, on which no cost is too high; one after another they would take minutes."""
-    steep = Terrain((5, 6), costs=(7, 9))
     asked_for = Random(distance=(None, 6))
-    dataset = OnlineMapDataset(steep, 0, 5, problems=asked_for)
-    assert dataset._substitutes_ahead(np.array([800]), 10_000) == 100
-    large = OnlineMapDataset(Terrain((80, 80)), 0, 5, problems=asked_for)
-    assert large._substitutes_ahead(np.array([800]), 10_000) == 1
+    search = Search(Drawing(asked_for, 0, Movement(8), DRAWS), most=10_000)
+    search.tried[:] = 800
+    assert search.maps_ahead(np.array([0]), max_maps=2**15) == 100
+    assert not may_have_high_costs((5, 6))
+    assert may_have_high_costs((80, 80))
 
 
 # --- no silence ---------------------------------------------------------------------------------
@@ -353,7 +304,7 @@ def test_many_maps_of_terrain_are_tried_at_once() -> None:
 @pytest.fixture
 def _new_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Be a process that has not said yet that problems are rare."""
-    monkeypatch.setitem(dataset_module._process, "said_rare", False)
+    monkeypatch.setitem(batch_sources._process, "said_rare", False)
 
 
 @pytest.mark.usefixtures("_new_process")

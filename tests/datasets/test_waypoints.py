@@ -23,7 +23,8 @@ from mapdata import (
     pull_taut,
 )
 from mapdata.datasets import Batch
-from mapdata.datasets.fields import Paths, Rooms, StoredMaps
+from mapdata.datasets.fields import Rooms, StoredMaps
+from mapdata.problems.drawing import Paths
 from mapdata.search import path_waypoints
 from mapdata.search.map_stack import MapStack
 
