@@ -39,6 +39,7 @@ from mapdata.checks import check_count, check_flag, check_seed
 from mapdata.jit import Int, inlined, kernel
 from mapdata.problems.symmetry import transform_grids
 from mapdata.rng import IMAGE, JITTER, block, bounded
+from mapdata.search.map_stack import MapStack
 
 MIN_PIXELS, MIN_ALIKE_PIXELS, MAX_PIXELS = 4, 8, 32
 """Limits of the pixels of a tile; tiles of fewer pixels cannot show all patterns."""
@@ -590,10 +591,7 @@ class Tiles:
 
     def __call__(self, batch: PicturedBatch) -> Bytes:
         """Return the pictures, (B, 3, pixels * H, pixels * W) uint8."""
-        terrain = batch.stored_terrain
-        if terrain is None:
-            # A free cell costs 1, and 0 stands for an occupied one.
-            terrain = batch.stored_grids ^ np.uint8(1)
+        terrain = MapStack(batch.stored_grids, batch.stored_terrain).cell_costs
         keys = map_keys(terrain)  # Equal maps have equal pictures, whatever their numbers are.
         pictures = draw_tiles(terrain, keys, self.pixels, self.alike, self.noise, self.seed)
         pictures = after_symmetries(pictures, batch.symmetries)

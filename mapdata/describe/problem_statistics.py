@@ -104,14 +104,17 @@ class ProblemStatistics:
 
         ratios = np.stack([optimal_cells, expansions], axis=1)[has_path] / lengths[has_path, None]
         cells_ratio, expansion_ratio = confidence_intervals(ratios, lambda means: means).T
+        no_detour, hard = None, None
+        if not has_terrain:  # On terrain, nearly all problems have a detour and are hard.
+            no_detour, hard = share(hardness == 1), share(hardness >= HARD)
         _, problems_on_map = np.unique(digests, return_counts=True)
         return cls(
             served=served,
             problems=problems,
             sample=len(path_counts),
             without_path=len(path_counts) - solved,
-            no_detour=None if has_terrain else share(hardness == 1),
-            hard=None if has_terrain else share(hardness >= HARD),
+            no_detour=no_detour,
+            hard=hard,
             single_path=share(path_counts == 1),
             few_paths=share((path_counts > 1) & (path_counts < 10)),
             many_paths=share(path_counts >= 10),

@@ -11,12 +11,14 @@ from itertools import chain, combinations
 import numpy as np
 
 from mapdata.arrays import Array, Bytes, Flags, Floats, Ints
-from mapdata.generators.maps import Maps, unpacked
+from mapdata.generators.maps import Maps
 from mapdata.limits import SPLITS
 from mapdata.search.api import SEARCHES
 from mapdata.search.ground import costs_of_sums
 from mapdata.search.labels import Labels, label
 from mapdata.search.lattice import hardness
+from mapdata.search.map_stack import MapStack
+from mapdata.search.terrain import min_cell_costs
 from mapdata.shards.locations import Locations
 from mapdata.shards.root import Root
 
@@ -213,14 +215,9 @@ def _shard_columns(labels: Labels, hash_maps: bool) -> dict[str, Array]:
     goals = maps.seed_points[:, 1:][is_passage]
     map_of_segment = np.repeat(np.arange(len(maps)), passages)
     segment_costs = labels.astar.costs[maps.segment_pairs]
-    if maps.terrain is None:
-        straight, diagonal = segment_costs.T
-        costs = straight + diagonal * maps.movement.diagonal_cost
-        segment_hardness = hardness(costs, starts, goals, maps.movement)
-    else:
-        costs = costs_of_sums(segment_costs, maps.movement, are_doubled=True)
-        min_costs = np.where(maps.terrain == 0, 255, maps.terrain).min(axis=(1, 2))
-        segment_hardness = hardness(costs, starts, goals, maps.movement, min_costs[map_of_segment])
+    min_costs = None if maps.terrain is None else min_cell_costs(maps.terrain)[map_of_segment]
+    costs = costs_of_sums(segment_costs, maps.movement, are_doubled=min_costs is not None)
+    segment_hardness = hardness(costs, starts, goals, maps.movement, min_costs)
     max_hardness = np.zeros(len(maps))
     np.maximum.at(max_hardness, map_of_segment, segment_hardness)
     rooms_known = (maps.sizes >= 0).any() or (maps.passage_width >= 0).any()
@@ -256,16 +253,12 @@ def _grid_columns(maps: Maps, hash_maps: bool) -> dict[str, Array]:
     # Without maps there is one empty batch, so that there are shares to concatenate.
     for first in range(0, max(count, 1), maps_at_once):
         batch = slice(first, first + maps_at_once)
-        grids = unpacked(maps.packed[batch], maps.columns)
-        free.append(1 - grids.mean(axis=(1, 2)))
-        if maps.terrain is not None:
-            terrain = maps.terrain[batch]
-            cell_counts[0] += np.bincount(terrain.reshape(-1), minlength=256)
+        stack = MapStack.of(maps, batch)
+        free.append(1 - stack.grids.mean(axis=(1, 2)))
+        if stack.has_terrain:
+            cell_counts[0] += np.bincount(stack.costs.reshape(-1), minlength=256)
         if hash_maps:
-            if maps.terrain is None:
-                exact, symmetric = digests_of(grids)
-            else:
-                exact, symmetric = digests_of(terrain, is_terrain=True)
+            exact, symmetric = digests_of(stack.costs, is_terrain=stack.has_terrain)
             exact_digests += exact
             symmetric_digests += symmetric
     return {

@@ -301,9 +301,10 @@ def _cell_size(axes: Axes) -> float:
 
 def plot_grid_of_map(labels: Labels, i: int, axes: Axes | None, paper_colours: bool) -> Axes:
     """Draw the grid of map ``i``, and its terrain if it has any."""
-    maps = labels.maps
-    terrain = None if maps.terrain is None else maps.terrain[i]
-    return plot_grid(maps.occupancy[i], axes, paper_colours=paper_colours, terrain=terrain)
+    from mapdata.search.map_stack import MapStack
+
+    grid, terrain = MapStack.of(labels.maps, np.array([i])).select(0)
+    return plot_grid(grid, axes, paper_colours=paper_colours, terrain=terrain)
 
 
 def _plot_seed_points(axes: Axes, labels: Labels, i: int) -> None:

@@ -21,6 +21,7 @@ from mapdata.plotting.plot import (
 )
 from mapdata.search.api import SEARCHES
 from mapdata.search.labels import Labels
+from mapdata.search.map_stack import MapStack
 from mapdata.search.order import SearchOrder, search_order
 from mapdata.shards.files import StrPath, write_output
 
@@ -181,8 +182,8 @@ def _search_segment(labels: Labels, i: int, segment: int) -> list[SearchOrder]:
     """Search a segment of map ``i`` again, by BFS and by A*."""
     maps = labels.maps
     start, goal = maps.seed_points[i, segment : segment + 2]
-    terrain = None if maps.terrain is None else maps.terrain[i]
+    grid, terrain = MapStack.of(maps, np.array([i])).select(0)
     return [
-        search_order(maps.occupancy[i], start, goal, maps.movement, search, terrain=terrain)
+        search_order(grid, start, goal, maps.movement, search, terrain=terrain)
         for search in SEARCHES
     ]

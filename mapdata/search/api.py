@@ -20,9 +20,9 @@ from mapdata.search.arguments import (
     as_cell,
     as_cells,
     as_grid,
+    as_optional_terrain,
     as_problems,
     as_terrain,
-    as_terrain_stack,
     nearest_free_cell,
     problem_complaint,
     values_complaint,
@@ -348,8 +348,8 @@ def _as_problems(
         ValueError: what `as_problems` or `as_terrain` refuses.
     """
     grid_stack, start_cells, goal_cells = as_problems(grids, starts, goals)
-    costs = None if terrain is None else as_terrain_stack(terrain, grid_stack)
-    return MapStack(grid_stack, costs), start_cells, goal_cells
+    maps = MapStack(grid_stack, as_optional_terrain(terrain, grid_stack))
+    return maps, start_cells, goal_cells
 
 
 def _as_batch_result(maps: MapStack, solved: Solved, movement: Movement) -> BatchResult:
@@ -387,7 +387,7 @@ def distance_field(
     """
     array = as_grid(grid, 2)
     row, column = as_cell("goal", goal, array)
-    costs = None if terrain is None else as_terrain(terrain, array)
+    costs = as_optional_terrain(terrain, array)
     field = np.empty(array.shape, np.float32)
     rule = move_rule(movement)
     map_, cell_costs = as_ground(array, costs)
@@ -434,7 +434,7 @@ def check_path(
     if len(cells) == 0:
         raise ValueError("path: got no cell, expected at least one")
     diagonals, _ = move_rule(movement)
-    costs = None if terrain is None else as_terrain(terrain, array)
+    costs = as_optional_terrain(terrain, array)
     bad_cell, diagonal = first_bad_cell(array, cells, diagonals)
     if bad_cell == -1 and costs is not None:
         return terrain_path_cost(costs, cells, movement)

@@ -177,14 +177,19 @@ def _as_bytes(array: Array) -> Bytes:
     return narrow
 
 
-def as_terrain_stack(terrain: ArrayLike, grids: Bytes) -> Bytes:
-    """Return terrain, (H, W) or (B, H, W), as the kernels expect it, in the shape of ``grids``.
+def as_optional_terrain(terrain: ArrayLike | None, grid: Bytes) -> Bytes | None:
+    """Return terrain as `as_terrain` does, in the shape of ``grid``; None where there is none.
+
+    Terrain (H, W) fits ``grid``, (1, H, W), too.
 
     Raises:
         ValueError: what `as_terrain` refuses.
     """
-    array = np.asarray(terrain)
-    return as_terrain(array if array.ndim == 3 else array[None], grids)
+    if terrain is None:
+        return None
+    if grid.ndim == 3 and np.ndim(terrain) == 2:
+        terrain = np.asarray(terrain)[None]
+    return as_terrain(terrain, grid)
 
 
 # --- cells and problems ----------------------------------------------------------------------

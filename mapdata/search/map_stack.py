@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mapdata.arrays import Bytes, Flags, Floats, Ints
+from mapdata.generators.maps import Maps, unpacked
 from mapdata.movement import Movement
 from mapdata.search.arguments import problem_complaint
 from mapdata.search.footprint import inflate_all, occupies_cells, without_occupied
@@ -48,15 +49,26 @@ class MapStack(NamedTuple):
             np.concatenate(terrains) if terrains else None,
         )
 
-    def select(self, rows: Flags | Ints | slice) -> MapStack:
-        """Return the maps that ``rows`` selects."""
+    @staticmethod
+    def of(maps: Maps, rows: Ints | slice) -> MapStack:
+        """Return some of the maps of a batch that was generated or read."""
+        terrain = None if maps.terrain is None else maps.terrain[rows]
+        return MapStack(unpacked(maps.packed[rows], maps.columns), terrain)
+
+    @property
+    def has_terrain(self) -> bool:
+        """Whether the maps have terrain."""
+        return self.terrain is not None
+
+    def select(self, rows: Flags | Ints | slice | int) -> MapStack:
+        """Return the maps that ``rows`` selects; of one map, its grid and terrain (H, W)."""
         return MapStack(self.grids[rows], None if self.terrain is None else self.terrain[rows])
 
     def overwrite(self, rows: Ints, others: MapStack, places: Ints) -> None:
         """Replace map ``rows[k]`` by map ``places[k]`` of others, in these arrays themselves."""
         self.grids[rows] = others.grids[places]
-        if self.terrain is not None and others.terrain is not None:
-            self.terrain[rows] = others.terrain[places]
+        if self.terrain is not None:
+            self.terrain[rows] = others.costs[places]
 
     def with_grids(self, grids: Bytes) -> MapStack:
         """Return these maps after inflation, which made ``grids``, (B, H, W), of their grids."""
@@ -81,6 +93,11 @@ class MapStack(NamedTuple):
     def costs(self) -> Bytes:
         """(B, H, W) uint8, the terrain, or the grids of maps without it."""
         return self.grids if self.terrain is None else self.terrain
+
+    @property
+    def cell_costs(self) -> Bytes:
+        """(B, H, W) uint8, the terrain; on maps without it each free cell costs 1."""
+        return self.grids ^ np.uint8(1) if self.terrain is None else self.terrain
 
     @property
     def min_cell_costs(self) -> Ints | None:
@@ -141,7 +158,7 @@ class MapStack(NamedTuple):
 
     def costs_of(self, solved: Solved, movement: Movement) -> Floats:
         """Return the costs (B,) in cells of paths that were found on these maps, -1 without one."""
-        return costs_of_sums(solved.sums, movement, are_doubled=self.terrain is not None)
+        return costs_of_sums(solved.sums, movement, are_doubled=self.has_terrain)
 
     def costs_of_paths(self, cells: Ints, offsets: Ints, movement: Movement) -> Floats:
         """Return the costs (B,) in cells of paths on these B maps, -1 for an empty path.
@@ -152,7 +169,7 @@ class MapStack(NamedTuple):
             movement: says what a diagonal move costs.
         """
         sums = sum_steps(self.terrain, cells, offsets)
-        return costs_of_sums(sums, movement, are_doubled=self.terrain is not None)
+        return costs_of_sums(sums, movement, are_doubled=self.has_terrain)
 
     def check_solved(
         self,

@@ -20,8 +20,9 @@ from mapdata.arrays import Bytes, Floats, Int32s, Ints, summary
 from mapdata.checks import check_choice, check_number
 from mapdata.movement import STEPS, Movement
 from mapdata.search.api import SEARCHES, astar, bfs, check_path
-from mapdata.search.arguments import as_grid, as_terrain
+from mapdata.search.arguments import as_grid, as_optional_terrain
 from mapdata.search.lattice import DIAGONAL, UNIT, UNIT_BITS, heuristics
+from mapdata.search.map_stack import MapStack
 
 Heuristic: TypeAlias = "ArrayLike | Callable[[int, int], float]"
 """Estimated costs to the goal: an array (H, W), or a function of the row and column of a cell."""
@@ -120,7 +121,7 @@ def search_order(
     found = (bfs if search == "bfs" else astar)(grid, start, goal, movement, terrain=terrain)
     occupancy = as_grid(grid, 2)
     # On terrain of ones, A* expands the same cells in the same order as without terrain.
-    cell_costs = np.uint8(1) - occupancy if terrain is None else as_terrain(terrain, occupancy)
+    cell_costs = MapStack(occupancy, as_optional_terrain(terrain, occupancy)).cell_costs
     ends = (int(start[0]), int(start[1])), (int(goal[0]), int(goal[1]))
     if search == "bfs":
         expanded = _expand_by_bfs(cell_costs, *ends, movement)

@@ -292,6 +292,37 @@ def solve_problem(
 
 
 @kernel
+def _append_trace(
+    optimal_moves: Bytes, start: Int, goal: Int, lattice: Lattice, cells: Ints, used: Int
+) -> tuple[Ints, Int]:
+    """Append the path by the last optimal move of each cell, from ``start`` to ``goal``.
+
+    Args:
+        optimal_moves: (cells,) bit sets, as `shortest_costs_on` writes them.
+        start: padded cell, from which a path leads to the goal.
+        goal: padded cell.
+        lattice: of the map.
+        cells: (capacity, 2) cells of the paths so far.
+        used: number of these cells.
+
+    Returns:
+        ``cells``, moved to a larger array where it was full, and the new number of cells.
+    """
+    cell = start
+    while True:
+        if used == len(cells):  # Without this test, the calls take a third of the time.
+            cells = with_capacity(cells, used, 1)
+        cells[used, 0], cells[used, 1] = position(cell, lattice)
+        used += 1
+        if cell == goal:
+            return cells, used
+        move = len(lattice.offsets) - 1
+        while (optimal_moves[np.uint64(cell)] >> move) & 1 == 0:
+            move -= 1
+        cell += lattice.offsets[move]
+
+
+@kernel
 def follow_goal_fields(
     maps: Bytes,
     cell_costs: Bytes | None,
@@ -348,18 +379,7 @@ def follow_goal_fields(
         sums[b, 1] = 0
         if scratch.g[start] < INFINITY:
             sums[b, 0], sums[b, 1] = sums_of_cost(scratch.g[start], ground)
-            cell = start
-            while True:
-                if used == len(cells):  # Without this test, the calls take a third of the time.
-                    cells = with_capacity(cells, used, 1)
-                cells[used, 0], cells[used, 1] = position(cell, lattice)
-                used += 1
-                if cell == goal:
-                    break
-                move = len(lattice.offsets) - 1
-                while (optimal_moves[np.uint64(cell)] >> move) & 1 == 0:
-                    move -= 1
-                cell += lattice.offsets[move]
+            cells, used = _append_trace(optimal_moves, start, goal, lattice, cells, used)
         offsets[b + 1] = used
     return Solved(cells[:used], sums, field_sizes, offsets, count, EXACT)
 

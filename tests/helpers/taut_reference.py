@@ -27,6 +27,11 @@ Point: TypeAlias = "tuple[Fraction, Fraction]"
 Grid: TypeAlias = "npt.NDArray[np.uint8]"
 
 
+def in_fractions(line: npt.NDArray[np.float64]) -> list[Point]:
+    """Return the points of a line as exact fractions."""
+    return [(Fraction(row), Fraction(column)) for row, column in line.tolist()]
+
+
 def is_occupied(grid: Grid, row: int, column: int) -> bool:
     """Return whether a cell is occupied or outside the map."""
     rows, columns = grid.shape

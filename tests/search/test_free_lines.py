@@ -21,11 +21,6 @@ Grid = npt.NDArray[np.uint8]
 Line = npt.NDArray[np.float64]
 
 
-def in_fractions(line: Line) -> list[taut_reference.Point]:
-    """Return the points of a line as exact fractions."""
-    return [(Fraction(row), Fraction(column)) for row, column in line.tolist()]
-
-
 def segments(count: int, source: np.random.Generator) -> Iterator[tuple[Grid, Any, bool]]:
     """Yield maps, segments (row, column, row, column) in 1/256 cell, and corner rules.
 
@@ -105,7 +100,7 @@ def test_lines_of_models_are_free_if_all_their_segments_are(radius: float) -> No
         lines = source.integers(-1, 26, size=(60, count, 2)) / 4
         expected = []
         for grid, line in zip(grids, lines, strict=True):
-            points = in_fractions(line)
+            points = taut_reference.in_fractions(line)
             segments_of_line = [*pairwise(points)] or [(points[0], points[0])]
             expected.append(
                 all(

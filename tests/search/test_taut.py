@@ -40,11 +40,6 @@ class Problem(NamedTuple):
     movement: Movement
 
 
-def in_fractions(line: Line) -> list[taut_reference.Point]:
-    """Return the points of a line as exact fractions."""
-    return [(Fraction(row), Fraction(column)) for row, column in line.tolist()]
-
-
 def middle_of(cell: Any) -> taut_reference.Point:
     """Return the middle of a cell as exact fractions."""
     return (Fraction(2 * int(cell[0]) + 1, 2), Fraction(2 * int(cell[1]) + 1, 2))
@@ -94,7 +89,7 @@ def test_taut_lines_are_free(problems: list[Problem]) -> None:
     """By the exact oracle; only paths that cut corners touch points where obstacles touch."""
     for grid, path, movement in problems[::3]:
         line = pull_taut(grid, path)
-        for start, end in pairwise(in_fractions(line)):
+        for start, end in pairwise(taut_reference.in_fractions(line)):
             assert taut_reference.is_free_segment(grid, start, end, movement.corner_cutting)
 
 
@@ -192,7 +187,7 @@ def test_lines_for_a_robot_keep_its_distance(radius: float) -> None:
         if len(path) < 3:
             continue
         line = pull_taut(grid, path, radius)
-        for before, after in pairwise(in_fractions(line)):
+        for before, after in pairwise(taut_reference.in_fractions(line)):
             assert taut_reference.is_free_segment(grid, before, after, True)
             squared = taut_reference.squared_distance(grid, before, after)
             assert float(squared) >= radius**2 * (1 - 3e-7)
@@ -420,7 +415,7 @@ def test_waypoints_are_free_and_multiples_of_a_256th(problems: list[Problem]) ->
         if bends > 30:
             continue
         np.testing.assert_array_equal(points * CELL, np.round(points * CELL))
-        for start, end in pairwise(in_fractions(points.astype(float))):
+        for start, end in pairwise(taut_reference.in_fractions(points.astype(float))):
             assert taut_reference.is_free_segment(grid, start, end, movement.corner_cutting)
 
 
@@ -475,7 +470,7 @@ def test_waypoints_for_a_robot_keep_its_distance() -> None:
         path = astar(inflated, start, goal, Movement(8)).path
         waypoints, statuses = serve([Problem(grid, path, Movement(8))], 32, radius)
         assert statuses[0] >= 0
-        for before, after in pairwise(in_fractions(waypoints[0].astype(float))):
+        for before, after in pairwise(taut_reference.in_fractions(waypoints[0].astype(float))):
             squared = taut_reference.squared_distance(grid, before, after)
             assert float(squared) >= radius**2 * (1 - 3e-7)
 
