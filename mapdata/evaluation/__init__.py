@@ -6,16 +6,13 @@ from mapdata.evaluation.metrics import (
     METRICS,
     TERRAIN_METRICS,
     TIMES,
-    Batched,
-    BatchPlanner,
-    Plan,
-    Planner,
     evaluate,
     median_interval,
     score_paths,
     to_text,
     with_interval,
 )
+from mapdata.evaluation.plan import Batched, BatchPlanner, Plan, Planner
 from mapdata.evaluation.planners import (
     BestFirst,
     GoalFieldAstar,

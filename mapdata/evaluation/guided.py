@@ -15,10 +15,15 @@ from numpy.typing import ArrayLike
 
 from mapdata.arrays import Bytes, Float32s, Ints
 from mapdata.checks import check_number
-from mapdata.evaluation.metrics import Batched, Plan
+from mapdata.evaluation.plan import Batched, Plan
 from mapdata.movement import STEPS, Movement, check_movement
 from mapdata.search.api import search_batch
-from mapdata.search.arguments import as_checked_problems, as_terrain, terrain_from_costs
+from mapdata.search.arguments import (
+    as_checked_problems,
+    as_optional_terrain,
+    terrain_from_costs,
+)
+from mapdata.search.map_stack import MapStack
 from mapdata.search.predicted_moves import follow_predictions
 
 PRIOR = 3.0
@@ -265,11 +270,7 @@ def _problems_of(
     map for each problem.
     """
     grids, starts, goals = as_checked_problems(grids, starts, goals)
-    costs = None
-    if terrain is not None:
-        array = np.asarray(terrain)
-        costs = as_terrain(array if array.ndim == 3 else array[None], grids)
+    maps = MapStack(grids, as_optional_terrain(terrain, grids))
     if len(grids) != len(starts):
-        grids = np.repeat(grids, len(starts), axis=0)
-        costs = None if costs is None else np.repeat(costs, len(starts), axis=0)
-    return grids, starts, goals, costs
+        maps = maps.select(np.zeros(len(starts), np.int64))
+    return maps.grids, starts, goals, maps.terrain

@@ -6,27 +6,31 @@ TransPath: Kirilenko et al., AAAI 2023, https://arxiv.org/abs/2212.11730.
 
 from __future__ import annotations
 
-import inspect
-import math
-import sys
-import time
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from mapdata.arrays import Bytes, Floats, Ints, summary
-from mapdata.checks import check_choice, check_count, check_number, check_seed
+from mapdata.arrays import Flags, Floats, Ints
+from mapdata.checks import check_choice, check_count, check_seed
 from mapdata.describe.intervals import confidence_intervals
-from mapdata.limits import Cell
+from mapdata.evaluation.plan import BatchPlanner, Planner
+from mapdata.evaluation.runs import (
+    Run,
+    call_untimed,
+    cell_count,
+    cost_of_path,
+    first_refusal,
+    run_planner,
+)
 from mapdata.movement import Movement
 from mapdata.problems.problem_set import ProblemSet
-from mapdata.search.api import BatchResult, check_path
+from mapdata.search.api import BatchResult
 from mapdata.search.lattice import HARD
-from mapdata.shards.workers import Advance, bar
+from mapdata.shards.workers import bar
 
 METRICS = ("success", "opt", "cost_ratio", "expansion_ratio", "p_exp", "hmean")
 """Columns of the table that have an interval, from ``<name>_low`` to ``<name>_high``."""
@@ -36,82 +40,6 @@ TERRAIN_METRICS = (*METRICS, "regret")
 
 TIMES = ("ms", "ms_batched")
 """Columns of the table that are times. They have an interval, too."""
-
-_BATCH = 64
-"""Number of problems in a call of ``plan_batch``."""
-
-
-class Plan(NamedTuple):
-    """The answer of a planner to a problem.
-
-    Attributes:
-        path: (k, 2) integer cells from start to goal, both included; (0, 2) without a path.
-        expansions: number of cells that the planner expanded, the goal included.
-        prepared: number of cells that it computed something of before the search: those of a field
-            of costs to the goal, or all cells of a map that a network looks at.
-        looks: number of different cells that the search visited to see which neighbours are free,
-            the expanded ones included; None if it visited no others. Jump point search visits
-            the cells that its scans pass.
-        order: (H, W) int32, the number of the expansion of each cell, -1 for cells that were not
-            expanded, for `mapdata.plotting.plot_search`; None if the planner does not say.
-    """
-
-    path: npt.NDArray[np.integer[Any]]
-    expansions: int
-    prepared: int = 0
-    looks: int | None = None
-    order: npt.NDArray[np.integer[Any]] | None = None
-
-    def __repr__(self) -> str:
-        return summary(self)
-
-
-class Planner(Protocol):
-    """Anything that plans a path on a grid.
-
-    A planner takes terrain if its `plan_batch`, or its `plan` if it has no `plan_batch`, has a
-    parameter ``terrain``: the costs of the cells, uint8 of the shape of the grid or grids, 0 where
-    they are occupied. `evaluate` passes it by name, and only where problems have terrain.
-
-    A planner for one rule of moves says so in an attribute ``movement``, a `Movement`: `evaluate`
-    then refuses problems of another one.
-    """
-
-    @property
-    def name(self) -> str:
-        """Its name in the table."""
-
-    def plan(self, grid: Bytes, start: Cell, goal: Cell) -> Plan:
-        """Return a path on ``grid``, (H, W) of 0 free and 1 occupied."""
-
-
-@runtime_checkable
-class BatchPlanner(Planner, Protocol):
-    """A planner that also solves many problems in one call."""
-
-    def plan_batch(self, grids: Bytes, starts: Ints, goals: Ints) -> list[Plan]:
-        """Return a plan for each of the B problems: grids (B, H, W), starts and goals (B, 2)."""
-
-
-class Batched:
-    """Base class of planners with `plan_batch`: it solves a single problem as a batch of one."""
-
-    def plan(
-        self: BatchPlanner,
-        grid: npt.ArrayLike,
-        start: npt.ArrayLike,
-        goal: npt.ArrayLike,
-        terrain: npt.ArrayLike | None = None,
-    ) -> Plan:
-        """Return the path from ``start`` to ``goal`` on ``grid``, (H, W).
-
-        ``terrain``, (H, W), is for a `plan_batch` that takes it: the cost of each cell.
-        """
-        batch = np.asarray(grid)[None], np.array([start]), np.array([goal])
-        terrain_argument: dict[str, Any] = {}
-        if terrain is not None:
-            terrain_argument["terrain"] = np.asarray(terrain)[None]
-        return self.plan_batch(*batch, **terrain_argument)[0]
 
 
 def evaluate(
@@ -228,11 +156,11 @@ def evaluate(
     batch_planner_count = sum(isinstance(planner, BatchPlanner) for planner in planners)
     total = (len(planners) + batch_planner_count) * len(problems)
     for planner in planners:
-        _call_untimed(planner, problems)
+        call_untimed(planner, problems)
     with bar(progress, total, unit=" problems") as advance:
         runs = []
         for planner in planners:
-            runs.append(_run(planner, problems, advance))
+            runs.append(run_planner(planner, problems, advance))
             _warn_of_paths(planner.name, runs[-1])
     reference_expansions: Floats | Ints = problems.optimal.iterations
     if baseline is not None:
@@ -258,12 +186,12 @@ def _check_problems(problems: ProblemSet) -> None:
         raise ValueError("problems: got none, expected at least one")
 
 
-def _warn_of_paths(name: str, run: _Run) -> None:
+def _warn_of_paths(name: str, run: Run) -> None:
     """Warn the caller of a public function of paths that make a row say little."""
     if run.refusals and np.isnan(run.costs).all():
         warnings.warn(
             f"{name}: none of its paths solves its problem; the first is that of "
-            f"{_first_refusal(run.refusals)}. A path is cells (row, col) from start to goal",
+            f"{first_refusal(run.refusals)}. A path is cells (row, col) from start to goal",
             stacklevel=3,
         )
     if run.other_costs_batched:
@@ -359,7 +287,7 @@ def score_paths(
                 f"paths: got iterations of shape {np.shape(counts)} for {len(paths)} paths, "
                 "expected one number for each"
             )
-        expansions = np.array([_cell_count("paths: iterations", count) for count in counts])
+        expansions = np.array([cell_count("paths: iterations", count) for count in counts])
     if not hasattr(paths, "__len__") or isinstance(paths, (str, Mapping)):
         raise TypeError(
             f"paths: got {type(paths).__name__}, expected what search_batch returns or a list of "
@@ -370,11 +298,11 @@ def score_paths(
     costs = np.empty(len(problems))
     refusals = {}
     for k, path in enumerate(paths):
-        costs[k], reason = _cost(path, problems, k)
+        costs[k], reason = cost_of_path(path, problems, k)
         if reason:
             refusals[k] = reason
     unknown = np.full(len(problems), np.nan)
-    run = _Run(costs, refusals, expansions, unknown, unknown, unknown, np.empty(0), 0)
+    run = Run(costs, refusals, expansions, unknown, unknown, unknown, np.empty(0), 0)
     _warn_of_paths(name, run)
     return _table([name], [run], problems, problems.optimal.iterations, bootstrap, seed)
 
@@ -441,34 +369,9 @@ def with_interval(rows: pd.DataFrame, metric: str, decimals: int = 3) -> pd.Seri
     return text.where(rows[metric].notna(), "-")
 
 
-class _Run(NamedTuple):
-    """The measurements of a planner on N problems.
-
-    Attributes:
-        costs: (N,) costs L of the paths, NaN for failures.
-        refusals: why paths are refused, by the number of their problem, in ascending order.
-        expansions: (N,) numbers of expansions E.
-        prepared: (N,) numbers of prepared cells.
-        looks: (N,) numbers of visited cells.
-        ms: (N,) milliseconds that `plan` took.
-        ms_batched: (K,) milliseconds a problem of K calls of `plan_batch`; (0,) without it.
-        other_costs_batched: number of paths of `plan_batch` that cost something else than those of
-            `plan`.
-    """
-
-    costs: Floats
-    refusals: Mapping[int, str]
-    expansions: Floats
-    prepared: Floats
-    looks: Floats
-    ms: Floats
-    ms_batched: Floats
-    other_costs_batched: int
-
-
 def _table(
     names: Sequence[str],
-    runs: Sequence[_Run],
+    runs: Sequence[Run],
     problems: ProblemSet,
     reference_expansions: Floats | Ints,
     bootstrap: int,
@@ -497,178 +400,74 @@ def _table(
     for subset, mask in (("all", np.ones(len(problems), bool)), ("hard", problems.hard)):
         intervals = confidence_intervals(outcomes[mask], metrics_of, bootstrap, seed)
         regret = intervals[..., [METRICS.index("cost_ratio")]] - 1
-        metrics, lows, highs = np.concatenate([intervals, regret], axis=-1)
+        with_regret = np.concatenate([intervals, regret], axis=-1)
         for k, run in enumerate(runs):
-            row: dict[str, object] = {"planner": names[k], "subset": subset, "n": mask.sum()}
-            for m, name in enumerate(metric_names):
-                row[name] = metrics[k, m]
-            refusals = {number: run.refusals[number] for number in run.refusals if mask[number]}
-            row["refused"] = len(refusals)
-            row["first_refused"] = _first_refusal(refusals)
-            for name, counts in (("prepared_ratio", run.prepared), ("look_ratio", run.looks)):
-                ratios = counts[mask] / reference_expansions[mask]
-                row[name] = ratios.mean() if mask.any() else np.nan
-            times = {"ms": median_interval(run.ms[mask])}
-            times["ms_batched"] = median_interval(run.ms_batched)
-            for name, (median, _, _) in times.items():
-                row[name] = median
-            for m, name in enumerate(metric_names):
-                row[f"{name}_low"] = lows[k, m]
-                row[f"{name}_high"] = highs[k, m]
-            for name, (_, low, high) in times.items():
-                row[f"{name}_low"] = low
-                row[f"{name}_high"] = high
-            rows.append(row)
-    return pd.DataFrame(rows)
+            intervals_of_row = {name: with_regret[:, k, m] for m, name in enumerate(metric_names)}
+            intervals_of_row["ms"] = median_interval(run.ms[mask])
+            intervals_of_row["ms_batched"] = median_interval(run.ms_batched)
+            rows.append(_Row(names[k], subset, mask, run, reference_expansions, intervals_of_row))
+    columns: list[_Column] = [
+        ("planner", lambda row: row.planner),
+        ("subset", lambda row: row.subset),
+        ("n", lambda row: row.mask.sum()),
+        *(_interval_column(name, "") for name in metric_names),
+        ("refused", lambda row: len(row.refusals)),
+        ("first_refused", lambda row: first_refusal(row.refusals)),
+        ("prepared_ratio", lambda row: row.mean_ratio(row.run.prepared)),
+        ("look_ratio", lambda row: row.mean_ratio(row.run.looks)),
+        *(_interval_column(name, "") for name in TIMES),
+        *(
+            _interval_column(name, end)
+            for name in (*metric_names, *TIMES)
+            for end in ("_low", "_high")
+        ),
+    ]
+    return pd.DataFrame({name: [value_of(row) for row in rows] for name, value_of in columns})
 
 
-def _takes_terrain(planner: Planner) -> bool:
-    """Return whether a planner takes terrain, as `Planner` defines it."""
-    method = planner.plan_batch if isinstance(planner, BatchPlanner) else planner.plan
-    return "terrain" in inspect.signature(method).parameters
+class _Row(NamedTuple):
+    """What a row of the table is computed from.
 
-
-def _terrain_argument(planner: Planner, terrain: Bytes | None) -> dict[str, Any]:
-    """Return terrain as an argument by name; none if there is none or it is not to be passed."""
-    if terrain is None or not _takes_terrain(planner):
-        return {}
-    return {"terrain": terrain}
-
-
-def _call_untimed(planner: Planner, problems: ProblemSet) -> None:
-    """Solve the first problem with a planner, and the first batch with its `plan_batch`."""
-    _timed_plan(planner, problems, 0)
-    if isinstance(planner, BatchPlanner):
-        _timed_batch(planner, problems, 0)
-
-
-def _run(planner: Planner, problems: ProblemSet, advance: Advance) -> _Run:
-    """Solve all problems with a planner, check its paths and measure its times.
-
-    ``advance`` is called with numbers of solved problems.
+    Attributes:
+        planner: name of the planner.
+        subset: name of the subset of the problems.
+        mask: (N,) whether each problem is in the subset.
+        run: the measurements of the planner on all problems.
+        reference_expansions: (N,) E*.
+        intervals: (3,) of each metric and time in the subset: its value, and the lower and the
+            upper end of its interval.
     """
-    costs = np.empty(len(problems))
-    refusals = {}
-    expansions = np.empty(len(problems))
-    prepared = np.empty(len(problems))
-    looks = np.empty(len(problems))
-    ms = np.empty(len(problems))
-    for k in range(len(problems)):
-        plan, ms[k] = _timed_plan(planner, problems, k)
-        costs[k], reason = _cost(plan.path, problems, k)
-        if reason:
-            refusals[k] = reason
-        expansions[k] = plan.expansions
-        prepared[k] = plan.prepared
-        looks[k] = plan.expansions if plan.looks is None else plan.looks
-        advance(1)
-    ms_batched = np.empty(0)
-    other_costs_batched = 0
-    if isinstance(planner, BatchPlanner):
-        ms_batched, batched_costs = _run_batched(planner, problems, advance)
-        is_other_cost = ~np.isclose(batched_costs, costs, equal_nan=True)
-        other_costs_batched = int(is_other_cost.sum())
-    return _Run(costs, refusals, expansions, prepared, looks, ms, ms_batched, other_costs_batched)
+
+    planner: str
+    subset: str
+    mask: Flags
+    run: Run
+    reference_expansions: Floats | Ints
+    intervals: Mapping[str, Floats]
+
+    @property
+    def refusals(self) -> dict[int, str]:
+        """Why paths are refused, by the number of their problem."""
+        return {k: reason for k, reason in self.run.refusals.items() if self.mask[k]}
+
+    def mean_ratio(self, counts: Floats) -> float:
+        """Return the mean of ``counts``, (N,) numbers of cells, over E*; NaN without problems."""
+        if not self.mask.any():
+            return float("nan")
+        return float((counts[self.mask] / self.reference_expansions[self.mask]).mean())
 
 
-def _timed_plan(planner: Planner, problems: ProblemSet, k: int) -> tuple[Plan, float]:
-    """Return the plan for problem ``k``, checked, and the milliseconds that it took."""
-    start = tuple(problems.starts[k].tolist())
-    goal = tuple(problems.goals[k].tolist())
-    grid, terrain = _map_of(problems, k)  # copies, since a planner may write to them
-    arguments = _terrain_argument(planner, terrain)
-    began = time.process_time()
-    try:
-        plan = planner.plan(grid, start, goal, **arguments)
-    except (Exception, SystemExit) as error:
-        _add_note(error, f"planner {planner.name}, problem {k}")
-        raise
-    ms = 1000 * (time.process_time() - began)
-    _check_plan(planner, "plan", plan)
-    return plan, ms
+_Column: TypeAlias = tuple[str, Callable[[_Row], object]]
+"""The name of a column of the table, and the function that returns its value in a row."""
 
 
-def _add_note(error: BaseException, note: str) -> None:
-    """Let the traceback of an error end with a note; Python 3.10 has no notes."""
-    if sys.version_info >= (3, 11):
-        error.add_note(note)
+def _interval_column(name: str, end: str) -> _Column:
+    """Return the column of a metric or time (end ""), or of an end of its interval."""
+    place = ("", "_low", "_high").index(end)
+    return name + end, lambda row: row.intervals[name][place]
 
 
-def _timed_batch(
-    planner: BatchPlanner, problems: ProblemSet, first: int
-) -> tuple[Sequence[Plan], float]:
-    """Return the plans for a batch of problems from ``first`` on, checked, and its milliseconds.
-
-    Raises:
-        TypeError: ``plan_batch`` returns no list of plans.
-        ValueError: it returns another number of plans than it got problems.
-    """
-    batch = slice(first, first + _BATCH)
-    grids, terrain = problems.maps_of(batch)
-    starts = problems.starts[batch].copy()
-    goals = problems.goals[batch].copy()
-    count = len(starts)
-    arguments = _terrain_argument(planner, terrain)
-    began = time.process_time()
-    try:
-        plans = planner.plan_batch(grids, starts, goals, **arguments)
-    except (Exception, SystemExit) as error:
-        _add_note(error, f"plan_batch of {planner.name}, problems {first} to {first + count - 1}")
-        raise
-    ms = 1000 * (time.process_time() - began)
-    # A named tuple, such as one Plan or the BatchResult of search_batch, is a tuple, too.
-    if not isinstance(plans, (list, tuple)) or hasattr(plans, "_fields"):
-        raise TypeError(
-            f"{planner.name}: plan_batch returned {type(plans).__name__}, expected a list of "
-            "mapdata.Plan(path, expansions), one for each problem"
-        )
-    if len(plans) != count:
-        raise ValueError(f"{planner.name}: plan_batch gave {len(plans)} plans for {count} problems")
-    for plan in plans:
-        _check_plan(planner, "plan_batch", plan)
-    return plans, ms
-
-
-def _check_plan(planner: Planner, method: str, plan: object) -> None:
-    """Check that a planner answered with a `Plan`, or with an object that has its fields.
-
-    Args:
-        planner: whose answer it is.
-        method: "plan" or "plan_batch", which returned it.
-        plan: the answer.
-
-    Raises:
-        TypeError: it did not.
-        ValueError: a number of cells is no number, negative or not finite.
-    """
-    if not all(hasattr(plan, name) for name in Plan._fields):
-        part = "" if method == "plan" else " in its list"
-        raise TypeError(
-            f"{planner.name}: {method} returned {type(plan).__name__}{part}, expected a "
-            "mapdata.Plan(path, expansions)"
-        )
-    for name in ("expansions", "prepared", "looks"):
-        count = getattr(plan, name)
-        if not (name == "looks" and count is None):
-            _cell_count(f"{planner.name}: {name}", count)
-
-
-def _cell_count(name: str, count: object) -> float:
-    """Return a number of cells as a float.
-
-    Raises:
-        ValueError: it is no number, negative or not finite. The message begins with ``name``.
-    """
-    shape = tuple(getattr(count, "shape", ()))
-    if shape:
-        raise ValueError(f"{name}: got an array of shape {shape}, expected a number of cells")
-    number = check_number(name, count)
-    if not 0 <= number < math.inf:
-        raise ValueError(f"{name}: got {count}, expected a number of cells, 0 or more")
-    return number
-
-
-def _outcomes(run: _Run, problems: ProblemSet, reference_expansions: Floats | Ints) -> Floats:
+def _outcomes(run: Run, problems: ProblemSet, reference_expansions: Floats | Ints) -> Floats:
     """Return five outcomes of each problem, (N, 5), whose means the metrics need.
 
     They are: whether it is solved, whether its path is optimal, L / L* (0 for failures), E / E* and
@@ -681,67 +480,6 @@ def _outcomes(run: _Run, problems: ProblemSet, reference_expansions: Floats | In
     expansion_ratio = run.expansions / reference_expansions
     saved = np.maximum(0, 1 - expansion_ratio)
     return np.column_stack([is_solved, is_optimal, cost_ratio, expansion_ratio, saved])
-
-
-def _run_batched(
-    planner: BatchPlanner, problems: ProblemSet, advance: Advance
-) -> tuple[Floats, Floats]:
-    """Solve all problems in batches, and measure times as `_run` does.
-
-    Returns:
-        The milliseconds a problem of each call of ``plan_batch``, and the costs of the paths, (N,),
-        NaN for failures.
-    """
-    ms = []
-    costs = np.empty(len(problems))
-    for first in range(0, len(problems), _BATCH):
-        plans, batch_ms = _timed_batch(planner, problems, first)
-        ms.append(batch_ms / len(plans))
-        for k, plan in enumerate(plans, start=first):
-            costs[k], _ = _cost(plan.path, problems, k)
-        advance(len(plans))
-    return np.array(ms), costs
-
-
-def _map_of(problems: ProblemSet, k: int) -> tuple[Bytes, Bytes | None]:
-    """Return copies of the grid and the terrain of problem ``k``, each (H, W)."""
-    grids, terrains = problems.maps_of([k])
-    return grids[0], None if terrains is None else terrains[0]
-
-
-def _cost(path: npt.ArrayLike | None, problems: ProblemSet, k: int) -> tuple[float, str]:
-    """Return the cost of ``path`` and an empty text.
-
-    If it does not solve problem ``k``, return NaN and the reason, which is empty for no path.
-    """
-    if path is None:
-        return np.nan, "got None, expected cells, or an empty array where there is no path"
-    try:
-        cells = np.asarray(path)
-    except (TypeError, ValueError, RuntimeError) as error:  # uneven lists, or tensors on a GPU
-        return np.nan, f"got {type(path).__name__}, expected an array of cells: {error}"
-    if cells.size == 0:
-        return np.nan, ""
-    grid, terrain = _map_of(problems, k)
-    try:
-        cost = check_path(grid, cells, problems.movement, terrain=terrain)
-    except ValueError as error:
-        return np.nan, str(error).removeprefix("path: ")
-    start, goal = problems.starts[k], problems.goals[k]
-    if np.array_equal(cells[0], start) and np.array_equal(cells[-1], goal):
-        return cost, ""
-    first, last = tuple(cells[0].tolist()), tuple(cells[-1].tolist())
-    return np.nan, (
-        f"it leads from {first} to {last}, expected from {tuple(start.tolist())} to "
-        f"{tuple(goal.tolist())}"
-    )
-
-
-def _first_refusal(refusals: Mapping[int, str]) -> str:
-    """Return the number of the first problem whose path is refused, and why; "" without one."""
-    for number, reason in refusals.items():
-        return f"problem {number}: {reason}"
-    return ""
 
 
 def _metrics(means: Floats) -> Floats:

@@ -12,7 +12,7 @@ import numpy as np
 from mapdata.arrays import Bytes, Ints
 from mapdata.checks import check_count
 from mapdata.evaluation.guided import GuidedSearch, prior
-from mapdata.evaluation.metrics import Batched, Plan, Planner
+from mapdata.evaluation.plan import Batched, Plan, Planner
 from mapdata.limits import Cell
 from mapdata.movement import NEURAL_ASTAR, STEPS, Movement, check_movement
 from mapdata.search.api import (

@@ -30,7 +30,7 @@ from mapdata.evaluation import (
     Planner,
     classical,
     median_interval,
-    metrics,
+    runs,
     score_paths,
     to_text,
 )
@@ -543,7 +543,7 @@ def test_times_are_medians_of_processor_time(monkeypatch: pytest.MonkeyPatch) ->
     """The first call is not counted, and one slow call changes the upper end alone."""
     clock = [0.0]
     # No other clock is there to be read.
-    monkeypatch.setattr(metrics, "time", SimpleNamespace(process_time=lambda: clock[0]))
+    monkeypatch.setattr(runs, "time", SimpleNamespace(process_time=lambda: clock[0]))
     problems = three()
     single_ms = dict(zip(GOALS, (2.0, 900.0, 4.0), strict=True))
     table = evaluate([Timed(clock, single_ms, [70, 9])], problems, bootstrap=5)
