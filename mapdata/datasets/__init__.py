@@ -15,8 +15,9 @@ from mapdata.datasets.arguments import (
     Transform,
 )
 from mapdata.datasets.dataset import MapDataset
-from mapdata.datasets.fields import FIELDS, Batch, MazeImage, Waypoints
+from mapdata.datasets.fields import FIELDS, Batch
 from mapdata.datasets.info import DatasetInfo, FieldInfo
+from mapdata.datasets.maze_image import MazeImage
 from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.problem_set_dataset import ProblemSetDataset
 from mapdata.datasets.sample import Sample, row
@@ -24,6 +25,7 @@ from mapdata.datasets.sampler import EpochSampler, LateLoader
 from mapdata.datasets.symmetry import apply_symmetry
 from mapdata.datasets.text import maze_text
 from mapdata.datasets.tiles import Tiles
+from mapdata.datasets.waypoints import Waypoints
 from mapdata.problems.drawing import DRAWS
 
 if TYPE_CHECKING:

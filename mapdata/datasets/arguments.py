@@ -18,10 +18,12 @@ from mapdata.checks import (
     items_of,
     known_values,
 )
-from mapdata.datasets.fields import FIELD_CLASSES, FIELDS, MazeImage, Waypoints
+from mapdata.datasets.fields import FIELD_CLASSES, FIELDS
+from mapdata.datasets.maze_image import MazeImage
 from mapdata.datasets.sample import Sample
 from mapdata.datasets.tiles import Tiles
 from mapdata.datasets.transforms import check_transform
+from mapdata.datasets.waypoints import Waypoints
 from mapdata.limits import MAPS_AND_MASKS
 from mapdata.movement import Movement, check_movement
 from mapdata.problems.sources import Route, Source, plain_text

@@ -20,10 +20,11 @@ from mapdata.datasets.arguments import (
 )
 from mapdata.datasets.batch_sources import DrawnSource, StoredSource
 from mapdata.datasets.batches import BatchReader, stored_counts
-from mapdata.datasets.fields import FIELDS, Field, divided_lines
+from mapdata.datasets.fields import FIELDS, Field
 from mapdata.datasets.info import DatasetInfo, field_infos
 from mapdata.datasets.map_sources import StoredMapSource
 from mapdata.datasets.problem_dataset import ProblemDataset
+from mapdata.datasets.waypoints import divided_lines
 from mapdata.generators.recipe import Recipe
 from mapdata.generators.stored_families import unknown_family
 from mapdata.limits import SPLITS

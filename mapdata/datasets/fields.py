@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from mapdata.arrays import Array, Bytes, Float32s, Floats, Ints, summary
-from mapdata.checks import check_count, check_flag
 from mapdata.datasets.field_kernels import (
     GoalFields,
     fill_goal_fields,
@@ -24,8 +23,10 @@ from mapdata.datasets.field_kernels import (
     pad_paths,
     path_probabilities,
 )
+from mapdata.datasets.maze_image import MazeImage
 from mapdata.datasets.sample import padded_path_length
 from mapdata.datasets.tiles import Tiles
+from mapdata.datasets.waypoints import Waypoints
 from mapdata.movement import Movement
 from mapdata.problems.drawing import Paths
 from mapdata.problems.symmetry import transform_grids
@@ -35,7 +36,6 @@ from mapdata.search.kernels import search_memory
 from mapdata.search.lattice import BFS, UNIT, move_rule
 from mapdata.search.lattice import hardness as hardness_of
 from mapdata.search.map_stack import MapStack
-from mapdata.search.taut import NOT_FREE, robot_of, write_waypoints
 
 
 class Rooms(NamedTuple):
@@ -252,7 +252,7 @@ def terrain(batch: Batch) -> Bytes:
 
     On maps without terrain all free cells cost 1, as on terrain of ones.
     """
-    return free(batch) if batch.terrain is None else batch.terrain[:, None]
+    return batch.maps.cell_costs[:, None]
 
 
 def start(batch: Batch) -> Ints:
@@ -432,87 +432,6 @@ def symmetry(batch: Batch) -> Ints:
     return batch.symmetries
 
 
-@dataclass(frozen=True)
-class Waypoints:
-    """The field ``waypoints``, with a number of points of your own.
-
-    It stands among the names in ``fields=``: ``fields=("map", "start", "goal", Waypoints(64))``.
-
-    The taut line of the served path (`mapdata.pull_taut`) is divided by ``count`` points. All its
-    bends are among them, and the largest gap is as small as possible. All segments between the
-    points are proved free for the radius of the robot.
-
-    Attributes:
-        count: T, the number of points, start and goal included; at least 2. A line of more than T -
-            2 bends does not fit. Above 130, short lines may hold a point twice.
-        fill: what a problem gets whose line does not fit, or is not free: False for an error that
-            names it, True for points of -1, as without a path. Lines that are not free occur only
-            for a robot with a radius whose movement cuts corners.
-    """
-
-    count: int = 32
-    fill: bool = False
-
-    __name__: ClassVar[str] = "waypoints"
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        object.__setattr__(self, "count", check_count("count", self.count, minimum=2))
-        check_flag("fill", self.fill)
-
-    def __call__(self, batch: Batch) -> Float32s:
-        """Return the points, (B, T, 2) float32.
-
-        Raises:
-            ValueError: a line that does not fit or is not free, unless ``fill`` is set.
-        """
-        points, bends = divided_lines(batch, self.count)
-        is_refused = (bends > self.count - 2) | (bends == NOT_FREE)
-        if not self.fill and is_refused.any():
-            refused = int(np.argmax(is_refused))
-            problem = f"waypoints: problem {batch.problems[refused]}"
-            if bends[refused] == NOT_FREE and batch.radius_cells == 0:
-                raise ValueError(
-                    f"{problem} has a stored path through occupied cells, expected an undamaged "
-                    "dataset: 'mapdata verify' checks it"
-                )
-            if bends[refused] == NOT_FREE:
-                raise ValueError(
-                    f"{problem} has no free line for a radius of {batch.radius_cells:g} cells, "
-                    "expected a movement that cuts no corners, or Waypoints(fill=True)"
-                )
-            raise ValueError(
-                f"{problem} has a line of {bends[refused]} bends, expected at most "
-                f"{self.count - 2} for {self.count} points: take Waypoints({bends[refused] + 2}), "
-                f"Waypoints({self.count}, fill=True), or MapDataset.filter(bends=(0, "
-                f"{self.count - 2}))"
-            )
-        return points
-
-
-NO_TAUT_LINES = (
-    "waypoints and bends: got maps with terrain, expected maps whose free cells all cost the same, "
-    "since a taut line ignores costs; take the field 'path'"
-)
-"""The error for taut lines on terrain, where a straight line may cost more than a bent one."""
-
-
-def divided_lines(batch: Batch, count: int) -> tuple[Float32s, Ints]:
-    """Return ``count`` points of each taut line, and the numbers of bends as `write_waypoints`.
-
-    Raises:
-        ValueError: the maps have terrain.
-    """
-    if batch.has_terrain:
-        raise ValueError(NO_TAUT_LINES)
-    points = np.empty((len(batch.grids), count, 2), np.float32)
-    cells, offsets, _ = batch.paths
-    robot = robot_of(batch.radius_cells)
-    cuts_corners = batch.movement.corner_cutting
-    bends = write_waypoints(batch.obstacles, cells, offsets, robot, cuts_corners, points)
-    return points, bends
-
-
 def waypoints(batch: Batch) -> Float32s:
     """``waypoints``: (B, T, 2) float32, points (row, col) of the taut line from start to goal.
 
@@ -530,53 +449,6 @@ def image(batch: Batch) -> Bytes:
     it is not inflated by a radius.
     """
     return Tiles()(batch)
-
-
-OCCUPIED_COLOUR, FREE_COLOUR = (0, 0, 0), (255, 255, 255)
-START_COLOUR, GOAL_COLOUR, PATH_COLOUR = (255, 0, 0), (0, 255, 0), (0, 0, 255)
-"""The colours of the cells in ``maze_image``: red, green, blue."""
-
-MAX_PIXELS_PER_CELL = 32
-
-
-@dataclass(frozen=True)
-class MazeImage:
-    """The field ``maze_image``, with cells of several pixels or with the path.
-
-    It stands among the names in ``fields=``: ``fields=("map", MazeImage(path=True))``.
-
-    Attributes:
-        pixels: k, pixels on a side of a cell, 1 to 32.
-        path: True draws the cells of the served path between start and goal in blue.
-    """
-
-    pixels: int = 1
-    path: bool = False
-
-    __name__: ClassVar[str] = "maze_image"
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        pixels = check_count("pixels", self.pixels, minimum=1)
-        if pixels > MAX_PIXELS_PER_CELL:
-            raise ValueError(f"pixels: got {pixels}, expected at most {MAX_PIXELS_PER_CELL}")
-        object.__setattr__(self, "pixels", pixels)
-        check_flag("path", self.path)
-
-    def __call__(self, batch: Batch) -> Bytes:
-        """Return the pictures, (B, 3, k * H, k * W) uint8."""
-        colours = np.array((FREE_COLOUR, OCCUPIED_COLOUR), np.uint8)
-        # The channels come last until the end, so that a cell is assigned its colour.
-        pictures = colours[batch.grids]
-        maps = np.arange(len(pictures))
-        if self.path:
-            cells, offsets, _ = batch.paths
-            rows, columns = cells.T
-            pictures[np.repeat(maps, np.diff(offsets)), rows, columns] = PATH_COLOUR
-        pictures[maps, batch.goals[:, 0], batch.goals[:, 1]] = GOAL_COLOUR
-        pictures[maps, batch.starts[:, 0], batch.starts[:, 1]] = START_COLOUR
-        channels_first = pictures.transpose(0, 3, 1, 2)
-        return channels_first.repeat(self.pixels, axis=2).repeat(self.pixels, axis=3)
 
 
 def maze_image(batch: Batch) -> Bytes:

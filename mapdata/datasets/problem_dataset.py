@@ -25,10 +25,11 @@ from mapdata.datasets.arguments import (
     torch_dtype,
 )
 from mapdata.datasets.batch_sources import BatchSource
-from mapdata.datasets.fields import FIELD_CLASSES, FIELDS, NO_TAUT_LINES, Batch, Rooms
+from mapdata.datasets.fields import FIELD_CLASSES, FIELDS, Batch, Rooms
 from mapdata.datasets.info import DatasetInfo
 from mapdata.datasets.problem_statistics import SAMPLE, measure
 from mapdata.datasets.sample import Rows, Sample, cast, row, sample_class, stack
+from mapdata.datasets.waypoints import NO_TAUT_LINES
 from mapdata.describe.dataset_card import movement_text
 from mapdata.describe.problem_statistics import ProblemStatistics
 from mapdata.limits import SPLITS, Size

@@ -29,7 +29,8 @@ from torch.utils.data import DataLoader
 
 from mapdata import MapDataset, MapSpec, Route, ShardError, build
 from mapdata._version import __version__
-from mapdata.datasets.batches import ARRAYS, BatchReader
+from mapdata.datasets.batches import BatchReader
+from mapdata.datasets.stored_arrays import ARRAYS
 from mapdata.formats import import_maps
 from mapdata.shards import MANIFEST, Root, open_shard, read_manifest, write_file
 from mapdata.shards.arrays import Shard
