@@ -12,7 +12,7 @@ import argparse
 import hashlib
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -93,15 +93,23 @@ def marks_of_paths(paths: Sequence[Ints] | Ints, shape: tuple[int, ...]) -> Flag
     return marks
 
 
-def count_shortest_paths(costs: Float32s, start: Ints) -> int:
-    """Return how many shortest paths lead from a start to the goal of a cost field (H, W)."""
+def count_shortest_paths(
+    costs: Float32s, start: Ints, steps: Collection[tuple[int, int]] = tuple(MOVES.values())
+) -> int:
+    """Return how many shortest paths lead from a start to the goal of a cost field (H, W).
+
+    Args:
+        costs: number of moves to the goal, -1 where no path leads.
+        start: cell.
+        steps: the moves, each of which costs 1; default the four moves of these mazes.
+    """
     counts = {tuple(cell): 1 for cell in np.argwhere(costs == 0).tolist()}
     reached = np.argwhere((costs > 0) & (costs <= costs[tuple(start)]))
     order = np.argsort(costs[tuple(reached.T)], kind="stable")
     for row, column in reached[order].tolist():
         counts[row, column] = sum(
             counts.get((row + down, column + right), 0)
-            for down, right in MOVES.values()
+            for down, right in steps
             if _cost_at(costs, row + down, column + right) == costs[row, column] - 1
         )
     return counts[tuple(start.tolist())]
@@ -274,7 +282,40 @@ def compare_lines(mazes: Mazes, other: Mazes) -> list[str]:
             f"| {name} | {_range_of(first, 3)} | {_range_of(second, 3)} "
             f"| {test.statistic:.3f} | {test.pvalue:.2g} |"
         )
+    weights = weights_of_pairs(other)
+    mean = np.average(other.moves, weights=weights)
+    count = weights.sum() ** 2 / (weights**2).sum()  # as many problems of equal weight (Kish)
+    distance = weighted_distance(mazes.moves, other.moves, weights)
+    lines.append(
+        f"| moves, weighted as pairs | {_range_of(mazes.moves, 3)} | {other.moves.min():.3f}, "
+        f"{mean:.3f}, {other.moves.max():.3f} | {distance:.3f} | of {count:.0f} problems |"
+    )
     return lines
+
+
+def weights_of_pairs(mazes: Mazes) -> Floats:
+    """Return the weight of each problem, (N,), with which pairs of cells would be equally frequent.
+
+    A set may draw the goal first, and then a start among the n cells that are far enough from it.
+    Then a pair of goal and start is drawn with a probability in proportion to 1 / (n F) on a map of
+    F free cells. Where both are drawn at once, and rare pairs that are far enough are kept, it is
+    1 / F^2. The weight is the quotient, n / F.
+    """
+    is_far = mazes.costs >= mazes.moves.min()
+    free_cells = (~mazes.walls).sum(axis=(1, 2))
+    weights: Floats = is_far.sum(axis=(1, 2)) / free_cells
+    return weights
+
+
+def weighted_distance(first: Ints, second: Ints, weights: Floats) -> float:
+    """Return the largest distance of the distributions of two samples, of which one has weights.
+
+    With equal weights it is the statistic of Kolmogorov and Smirnov.
+    """
+    values = np.unique(np.concatenate([first, second]))
+    share = (first[:, None] <= values).mean(axis=0)
+    weighted_share = np.average(second[:, None] <= values, axis=0, weights=weights)
+    return float(abs(share - weighted_share).max())
 
 
 def _range_of(values: Array, digits: int) -> str:

@@ -9,6 +9,7 @@ import networkx as nx  # type: ignore[import-untyped]
 import numpy as np
 import pytest
 from helpers.pages import DOCS
+from scipy.stats import ks_2samp
 
 from mapdata import Maze, Random
 from mapdata.export import export_problems
@@ -63,6 +64,27 @@ def test_shortest_paths_are_counted_as_networkx_counts_them(
     marks = mazes.marks.copy()
     marks[0] = False
     assert script.is_shortest(marks, mazes).tolist() == [False] + 11 * [True]
+
+
+def test_weights_are_the_starts_that_are_as_far(script: ModuleType, folder: Path) -> None:
+    """Those from which networkx needs as many moves to the goal as the shortest path of the set."""
+    mazes = script.read_mazes(folder / "arrays", "test")
+    weights = script.weights_of_pairs(mazes)
+    for k, weight in enumerate(weights):
+        graph = nx.grid_2d_graph(9, 9)
+        graph.remove_nodes_from([tuple(cell) for cell in np.argwhere(mazes.walls[k]).tolist()])
+        moves = nx.single_source_shortest_path_length(graph, tuple(mazes.goals[k].tolist()))
+        far = sum(each >= mazes.moves.min() for each in moves.values())
+        assert weight == far / len(graph)
+
+
+def test_the_weighted_distance_is_that_of_repeated_values(script: ModuleType) -> None:
+    """A weight of 3 is a value three times, for scipy's statistic."""
+    rng = np.random.default_rng(0)
+    first, second = rng.integers(20, size=50), rng.integers(5, 25, size=40)
+    weights = rng.integers(1, 4, size=40)
+    found = script.weighted_distance(first, second, weights)
+    assert found == pytest.approx(ks_2samp(first, np.repeat(second, weights)).statistic)
 
 
 def test_the_tables_of_a_set_of_our_own(
