@@ -503,22 +503,3 @@ def _search(
         raise ValueError(problem_complaint(array, start_cell, goal_cell))
     cost = straight + diagonal * movement.diagonal_cost if len(path) else -1.0
     return SearchResult(path, cost, expansions)
-
-
-def search_terrains(
-    terrains: Bytes,
-    starts: Ints,
-    goals: Ints,
-    movement: Movement,
-    allow_occupied_ends: bool,
-) -> tuple[BatchResult, int, int]:
-    """Solve problems on terrain as `MapStack.solve` does, whose verb replaces this."""
-    maps = MapStack(terrains, terrains)
-    solved = maps.solve(starts, goals, movement, allow_occupied_ends=allow_occupied_ends)
-    return _as_batch_result(maps, solved, movement), solved.done, solved.high_cost
-
-
-def check_cost(map_numbers: Ints, row: int, high_cost: int) -> None:
-    """Refuse a map whose costs are too high, as `MapStack.check_exact`, which replaces this."""
-    if high_cost:
-        raise ValueError(f"map {map_numbers[row]}: {high_cost_complaint(high_cost)}")
