@@ -28,10 +28,12 @@ from typing import Any, TypeAlias, TypeVar, cast
 
 import numba
 import numpy as np
+from llvmlite import ir as llvm_ir
 from numba.core import event, ir, ir_utils, types
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.untyped_passes import InlineInlinables, RewriteSemanticConstants
+from numba.extending import lower_builtin, type_callable
 
 Int: TypeAlias = Any
 """An integer inside a kernel, where integers of Python and of numpy mix."""
@@ -214,6 +216,39 @@ def _ignore_constants(dispatcher: Any) -> None:
 
     dispatcher.get_call_template = get_template
 
+
+def count_low_zeros(word: Any) -> Int:
+    """Return how many zeros are below the lowest one of ``word``, a uint64 that is not 0.
+
+    In kernels this is one instruction, to which numba has no way.
+    """
+    return np.uint64((int(word) & -int(word)).bit_length() - 1)
+
+
+def count_high_zeros(word: Any) -> Int:
+    """Return how many zeros are above the highest one of ``word``, a uint64 that is not 0."""
+    return np.uint64(64 - int(word).bit_length())
+
+
+def _count_zeros_by(function: Callable[..., Any], instruction: str) -> None:
+    """Let kernels compile calls of ``function`` to an instruction of LLVM.
+
+    Source: numba's documentation, "Low-level extension API".
+    """
+
+    def type_of_call(context: Any) -> Any:
+        return lambda word: types.uint64 if word == types.uint64 else None
+
+    def lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        is_never_zero = llvm_ir.Constant(llvm_ir.IntType(1), 1)
+        return getattr(builder, instruction)(arguments[0], is_never_zero)
+
+    type_callable(function)(type_of_call)
+    lower_builtin(function, types.uint64)(lower)  # type: ignore[no-untyped-call]
+
+
+_count_zeros_by(count_low_zeros, "cttz")
+_count_zeros_by(count_high_zeros, "ctlz")
 
 _ANALYSIS: Any = ir_utils  # numba does not annotate the functions of this module.
 

@@ -24,7 +24,7 @@ from helpers import served_fields
 import mapdata
 from mapdata import jit
 from mapdata.datasets import FIELDS
-from mapdata.jit import kernel, source_hash
+from mapdata.jit import count_high_zeros, count_low_zeros, kernel, source_hash
 from mapdata.rng import philox4x32
 
 PACKAGE = Path(mapdata.__file__).parent
@@ -392,6 +392,20 @@ def test_an_argument_that_may_be_none_keeps_both_branches() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="counts page faults")
+def test_zeros_below_and_above_the_ones_of_a_word() -> None:
+    """Compiled and not: of all words with one or two ones."""
+
+    @kernel
+    def count(word: Any) -> Any:
+        return count_low_zeros(word), count_high_zeros(word)
+
+    for low in range(64):
+        for high in range(low, 64):
+            word = np.uint64(1 << low | 1 << high)
+            assert count(word) == (low, 63 - high)
+            assert (count_low_zeros(word), count_high_zeros(word)) == (low, 63 - high)
+
+
 def test_calls_do_not_map_memory_again_and_again() -> None:
     """Wherever a loop of calls begins on Python's stack, numba has room below a large frame."""
 

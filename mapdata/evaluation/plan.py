@@ -20,8 +20,8 @@ class Plan(NamedTuple):
         prepared: number of cells that it computed something of before the search: those of a field
             of costs to the goal, or all cells of a map that a network looks at.
         looks: number of different cells that the search visited to see which neighbours are free,
-            the expanded ones included; None if it visited no others. Jump point search visits
-            the cells that its scans pass.
+            the expanded ones included; None if it visited no others. Jump point search counts
+            the cells that its scans pass, each as often as one passes it.
         order: (H, W) int32, the number of the expansion of each cell, -1 for cells that were not
             expanded, for `mapdata.plotting.plot_search`; None if the planner does not say.
     """

@@ -107,11 +107,14 @@ class JumpPointSearch(Batched):
     """Jump point search: it finds optimal paths and expands few cells, with no preparation.
 
     It serves grids whose free cells all cost the same, and refuses terrain. Its expansions are the
-    jump points that it takes from the frontier, among equal f the one that was pushed last, as in
-    mapdata's A*. Its looks are the cells that its scans between jump points pass, often more than
-    A* expands.
+    start, the jump points that it takes from the frontier, among equal f the one that was found
+    last, and the goal. Diagonal scans find straight jump points and are no jump points themselves.
+    From the first eight expansions it also tries a ray to the goal, diagonal moves and then
+    straight ones, and is done if that is free. Its looks are the cells that its scans and rays
+    pass, each as often as one passes it, often more than A* expands.
 
-    Source: Harabor and Grastien, AAAI 2011, with cut corners; SoCS 2012, without.
+    Source: Harabor and Grastien, AAAI 2011, with cut corners; SoCS 2012, without; ICAPS 2014,
+    "JPS (B + P)", for scans by bits and what diagonal scans find.
 
     Attributes:
         name: its name in the table.

@@ -28,8 +28,8 @@ from mapdata.search.arguments import (
     values_complaint,
     why_not_free,
 )
+from mapdata.search.bit_jumps import empty_bit_map, jump_memory, jump_to_goals
 from mapdata.search.ground import as_ground, high_cost_complaint
-from mapdata.search.jump_points import jump_to_goals
 from mapdata.search.kept_memory import kept_memory, kept_search_memory
 from mapdata.search.kernels import first_bad_cell
 from mapdata.search.landmarks import solve_with_landmarks
@@ -269,21 +269,30 @@ def check_jump_points(movement: Movement) -> None:
 def solve_by_jump_points(
     grids: ArrayLike, starts: ArrayLike, goals: ArrayLike, movement: Movement
 ) -> tuple[BatchResult, Ints]:
-    """Solve B problems by jump point search (`mapdata.search.jump_points`).
+    """Solve B problems by jump point search (`mapdata.search.bit_jumps`).
 
-    The arguments are those of `search_batch`.
+    The arguments are those of `search_batch`. A grid that all problems share is read once.
 
     Returns:
-        The paths, with the jump points that were taken from the frontier as expansions; and the
-        number of cells that the scans passed, (B,), the start included.
+        The paths, with the start, the jump points that were taken from the frontier, and the goal
+        as expansions; and the number of cells that scans and rays to the goal passed, (B,), each as
+        often as one passed it, and the start.
 
     Raises:
         ValueError: what `search_batch` refuses; a movement without diagonal moves.
     """
     check_jump_points(movement)
     maps, start_cells, goal_cells = _as_problems(grids, starts, goals)
-    lattice, scratch = kept_search_memory(maps.grids.shape[1:], move_rule(movement))
-    solved, looks = jump_to_goals(maps.grids, start_cells, goal_cells, lattice, scratch)
+    shape = maps.grids.shape[1:]
+    lattice, scratch = kept_search_memory(shape, move_rule(movement))
+    solved, looks = jump_to_goals(
+        maps.grids,
+        start_cells,
+        goal_cells,
+        empty_bit_map(shape),
+        lattice,
+        jump_memory(shape, scratch),
+    )
     maps.check_solved(solved, start_cells, goal_cells)
     return _as_batch_result(maps, solved, movement), looks
 

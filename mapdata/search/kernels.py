@@ -541,13 +541,14 @@ def remove_heap_top(heap: UInt32s, f: Ints, size: Int) -> None:
     The last entry moves to the top and sinks to its position. An entry belongs above another one if
     its f is smaller, or if f is equal and its push is later.
     """
-    last_push = heap[size]
-    last_f = f[size]
-    hole = 0
-    child = 1
-    while child < size:
-        right = child + 1
-        if right < size and (
+    end = np.uint64(size)
+    last_push = heap[end]
+    last_f = f[end]
+    hole = _ZERO
+    child = _ONE
+    while child < end:
+        right = child + _ONE
+        if right < end and (
             f[right] < f[child] or (f[right] == f[child] and heap[right] > heap[child])
         ):
             child = right
@@ -556,7 +557,7 @@ def remove_heap_top(heap: UInt32s, f: Ints, size: Int) -> None:
         f[hole] = f[child]
         heap[hole] = heap[child]
         hole = child
-        child = 2 * child + 1
+        child = (child << _ONE) + _ONE
     f[hole] = last_f
     heap[hole] = last_push
 
@@ -564,9 +565,9 @@ def remove_heap_top(heap: UInt32s, f: Ints, size: Int) -> None:
 @inlined
 def insert_in_heap(heap: UInt32s, f: Ints, size: Int, push: Int, push_f: Int) -> None:
     """Insert ``push`` into a heap of ``size`` entries, in the order of `remove_heap_top`."""
-    hole = size
+    hole = np.uint64(size)
     while hole:
-        parent = (hole - 1) >> 1
+        parent = (hole - _ONE) >> _ONE
         if f[parent] < push_f or (f[parent] == push_f and heap[parent] > push):
             break
         f[hole] = f[parent]

@@ -21,7 +21,7 @@ take the lattice alone.
 The legal moves, the heuristic and hardness are defined here. The corner rule is written again where
 a loop needs it in another form, and each copy states its reason: `flood`, `first_bad_cell`,
 `best_first_buckets` and `shortest_costs` in kernels.py; `shortest_terrain_costs` in terrain.py; the
-diagonal scan and the table of kept moves in jump_points.py; the moves by costs in
+table of kept moves in jump_points.py; the ray to the goal in bit_jumps.py; the moves by costs in
 datasets/field_kernels.py; on tensors, `legal_moves` in models/pretrained/geometry.py; and order.py
 and predicted_moves.py, whose searches work on rows and columns so that they can be read without
 this module. Tests compare all of them with the slow reference.
@@ -218,6 +218,14 @@ def is_legal(came_from: Bytes, cell: Int, move: Int, lattice: Lattice) -> Int:
 
 
 @inlined
+def octile(rows: Int, columns: Int, diagonal_cost: Int) -> Int:
+    """Return the cost of a move by (rows, columns) on an empty map with diagonal moves."""
+    rows = abs(rows)
+    columns = abs(columns)
+    return abs(rows - columns) * UNIT + min(rows, columns) * diagonal_cost
+
+
+@inlined
 def heuristic(rows: Int, columns: Int, lattice: Lattice) -> Int:
     """Return the cost of a move by (rows, columns) on an empty map, in 1 / UNIT.
 
@@ -228,7 +236,7 @@ def heuristic(rows: Int, columns: Int, lattice: Lattice) -> Int:
     columns = abs(columns)
     if lattice.diagonals == NO_DIAGONALS:
         return (rows + columns) * UNIT
-    return abs(rows - columns) * UNIT + min(rows, columns) * lattice.diagonal_cost
+    return octile(rows, columns, lattice.diagonal_cost)
 
 
 @kernel

@@ -239,15 +239,23 @@ def test_the_search_with_the_goal_field_prepares_all_cells_that_reach_the_goal(
 
 
 def test_jump_point_search_counts_its_looks() -> None:
-    """On an empty map it expands start, turn and goal at most, and passes the rows and columns that
-    it scans.
+    """On an empty map a ray from the start passes the cells of the path; behind a wall it fails,
+    and scans pass rows and columns.
     """
     planner = JumpPointSearch("jumps", Movement(8))
     straight = planner.plan(np.zeros((1, 9), np.uint8), (0, 2), (0, 6))
-    assert (straight.expansions, straight.prepared, straight.looks) == (2, 0, 7)
+    assert (straight.expansions, straight.prepared, straight.looks) == (2, 0, 5)
     assert straight.path.tolist() == [[0, 2], [0, 3], [0, 4], [0, 5], [0, 6]]
     turned = planner.plan(np.zeros((5, 5), np.uint8), (0, 0), (2, 4))
-    assert (turned.expansions, len(turned.path)) == (3, 5)
+    assert (turned.expansions, turned.looks, len(turned.path)) == (2, 5, 5)
+    assert turned.path.tolist() == [[0, 0], [1, 1], [2, 2], [2, 3], [2, 4]]
+    wall = np.zeros((2, 5), np.uint8)
+    wall[0, 1:4] = 1
+    around = planner.plan(wall, (0, 0), (0, 4))
+    # Expanded are the start, (1, 0) and (1, 4), beside the ends of the wall, and the goal. Scans
+    # pass (1, 0), and then (1, 1) to (1, 4); the ray of (1, 4) passes the goal.
+    assert (around.expansions, around.looks) == (4, 7)
+    assert around.path.tolist() == [[0, 0], [1, 0], [1, 1], [1, 2], [1, 3], [1, 4], [0, 4]]
 
 
 def test_jump_point_search_with_four_moves_is_refused() -> None:
@@ -268,8 +276,9 @@ def test_no_path_and_start_is_goal() -> None:
         nothing = planner.plan(grid, (2, 2), (2, 8))
         assert nothing.path.shape == (0, 2)
         if isinstance(planner, JumpPointSearch):
-            # No obstacle ends, so that no cell but the start is a jump point.
-            assert (nothing.expansions, nothing.looks) == (1, 5 * 6)
+            # No obstacle ends, so that no cell but the start is a jump point. The ray to the goal
+            # passes the three cells before the wall, too.
+            assert (nothing.expansions, nothing.looks) == (1, 5 * 6 + 3)
         elif isinstance(planner, GoalFieldAstar):
             assert (nothing.expansions, nothing.prepared) == (0, 5 * 2)
         elif isinstance(planner, Limit):
