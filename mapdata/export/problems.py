@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
-import os
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,24 +15,25 @@ from torch.utils.data import Dataset
 from mapdata._version import __version__
 from mapdata.arrays import Array, Ints
 from mapdata.checks import check_choice, check_count, check_flag, did_you_mean
-from mapdata.datasets.dataset import MapDataset
 from mapdata.datasets.fields import FIELDS
-from mapdata.datasets.online import OnlineMapDataset
 from mapdata.datasets.problem_dataset import ProblemDataset
-from mapdata.datasets.problem_set_dataset import ProblemSetDataset
-from mapdata.datasets.problem_statistics import map_digests, measure
-from mapdata.describe.dataset_card import counted
+from mapdata.datasets.problem_statistics import measure
 from mapdata.describe.problem_statistics import ProblemStatistics
-from mapdata.describe.statistics import count_repeats, hash_grids
+from mapdata.describe.statistics import hash_grids
 from mapdata.export.about import CARD, write_about
 from mapdata.export.card import problem_card
-from mapdata.export.layouts import Columns
+from mapdata.export.notes import (
+    copy_notes,
+    count_notes,
+    map_notes,
+    neighbour_notes,
+    source_notes,
+    target_notes,
+)
 from mapdata.export.problem_formats import FORMATS, ProblemFormat, WriterTarget
+from mapdata.export.sources import Options, Part, open_source, problem_set_of, without_copies
 from mapdata.export.writers import Writer
-from mapdata.formats.registry import read_problems
-from mapdata.generators.generator import PRESETS, MapGenerator
-from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe
-from mapdata.generators.splits import maps_of_split
+from mapdata.generators.recipe import RecipeLike
 from mapdata.hashing import json_hash
 from mapdata.limits import PROBLEM_FORMATS, SPLITS
 from mapdata.movement import Movement
@@ -42,38 +41,10 @@ from mapdata.problems.problem_set import ProblemSet
 from mapdata.problems.sources import Random, Source, SourceLike, plain_text, problem_source
 from mapdata.shards.files import StrPath, new_output
 from mapdata.shards.locations import Locations, local_path
-from mapdata.shards.manifest import MANIFEST
-from mapdata.shards.root import Root
 from mapdata.shards.workers import bar
 
 DEFAULT_FIELDS = ("map", "start", "goal", "path", "cost")
 """The fields that are written unless the caller names others."""
-
-_BATCH_CELLS = 2**22
-"""Cells of the maps of a batch. The fields of a batch take some 10 to 100 bytes a cell."""
-
-_IMAGE_BATCH_CELLS = 2**18
-"""Cells of the maps of a batch with pictures, which take some 200 bytes a cell."""
-
-_MAX_BATCH = 4096
-
-_MIN_BATCH = 64
-"""Problems that are drawn at once to find some on distinct maps, however few are missing."""
-
-_MAX_COUNT = 10**8
-"""Problems of a split; the numbers of so many maps take 1.6 GB."""
-
-_MAX_SPARE = 20
-_MAX_SPARE_MAPS = 10**6
-"""How many problems more than were asked for are drawn at most, to find some on distinct maps: 20
-times as many, and a million."""
-
-_FEW_MAPS = 0.9
-"""There is a note if random problems are on less than this share of the maps that they could use.
-"""
-
-_FEW_SINGLE_PATHS = 0.9
-"""There is a note if less than this share of problems has one shortest path."""
 
 
 def export_problems(
@@ -161,11 +132,10 @@ def export_problems(
             "the folder of a dataset, a preset or recipe, or a ProblemSet; the other arguments of "
             "the dataset are also arguments here"
         )
-    problem_set = _problem_set(source)
-    given = {"problems": problems, "seed": seed, "radius": radius or None}
+    problem_set = problem_set_of(source)
     if movement is None:
         movement = file_format.movement if problem_set is None else problem_set.movement
-    options = _Options(
+    options = Options(
         fields=_format_fields(file_format, fields),
         problems=_format_problems(file_format, problems, max_length),
         search=search,
@@ -175,161 +145,53 @@ def export_problems(
         max_length=max_length,
         sampling_seed=sampling_seed,
     )
-    if options.problems.unsolvable and file_format.needs_paths:
-        raise ValueError(
-            f"problems: {format} needs a path of each problem, expected none with unsolvable=True"
-        )
-    if max_length is not None and "path" not in options.fields:
-        raise ValueError("max_length: expected 'path' among the fields")
+    _check_options(file_format, options)
     if problem_set is not None:
+        given = {"problems": problems, "seed": seed, "radius": radius or None}
         _check_set_options(file_format, problem_set, options, split, given)
         source = problem_set
         split = split or "test"
     splits = _format_splits(file_format, split)
-    parts, origin = _open(source, options, splits, split, count, seed, follow_links, distinct)
+
+    parts, origin = open_source(source, options, splits, split, count, seed, follow_links, distinct)
     if distinct:
-        parts = _without_copies(parts, count)
-    dataset = parts[0].dataset
-    _check_terrain(file_format, dataset, search)
-    if file_format.has_maze_labels:
-        _check_square_and_straight(format, dataset)
-    if file_format.is_one_file:
-        _check_all_splits(file_format, parts)
-    rows, columns = dataset.map_size
-    if max_length is not None and max_length > rows * columns:
-        raise ValueError(f"max_length: got {max_length}, but a map has only {rows * columns} cells")
+        parts = without_copies(parts, count)
+    _check_parts(file_format, parts, options)
+
     with new_output(local_path(target)) as folder:
         folder.mkdir()
-        counts = {part.split: part.count for part in parts}
-        target_of_writer = WriterTarget(
-            folder, counts, dataset.map_size, dataset.movement, options.max_length
-        )
-        writer = file_format.new_writer(target_of_writer)
-        try:
-            written = _write(parts, writer, options.fields, file_format.max_batch, progress)
-            statistics = {part.split: measure(part.dataset, numbers=part.numbers) for part in parts}
-            files = writer.finish(counts, dataset.map_size)
-        except BaseException:
-            writer.abort()
-            raise
+        noted, statistics, files = _write(parts, file_format, options, folder, progress)
         about = {
             "mapdata": __version__,
             "format": format,
             "origin": origin,
-            "options": options.plain(dataset) | {"distinct": distinct},
-            "problems": counts,
-            "maps": {split: len(np.unique(maps)) for split, maps in written.map_indices.items()},
+            "options": options.plain(parts[0].dataset) | {"distinct": distinct},
+            "problems": {part.split: part.count for part in parts},
+            "maps": {split: len(np.unique(maps)) for split, maps in noted.map_indices.items()},
             "problem_statistics": {split: statistics[split].to_dict() for split in statistics},
             "files": files,
             "content_hash": json_hash(files),
         }
         write_about(folder, about)
         if file_format.has_card:
-            card = problem_card(local_path(target).name, about, options.fields, statistics, licence)
+            name = local_path(target).name
+            card = problem_card(name, about, options.fields, statistics, licence)
             (folder / CARD).write_text(card, encoding="utf-8", newline="\n")
+
     default = f", the default of {format}" if problems is None else ""
     which = plain_text(options.problems) + default
     if problem_set is not None:
         which = problem_set.description
-    return [
+    notes = [
         f"problems: {which}",
-        *_source_notes(source),
-        *_count_notes(parts),
-        *_map_notes(parts, written.map_indices),
-        *_target_notes(options.fields, statistics),
-        *(
-            _neighbour_notes(parts, written.neighbours, is_drawn=problem_set is None)
-            if file_format.has_maze_labels
-            else ()
-        ),
-        *_copy_notes(written.map_hashes, written.map_indices),
+        *source_notes(source),
+        *count_notes(parts),
+        *map_notes(parts, noted.map_indices),
+        *target_notes(options.fields, statistics),
     ]
-
-
-@dataclass(frozen=True)
-class _Options:
-    """The arguments of an export that datasets take, by the same names."""
-
-    fields: tuple[str, ...]
-    problems: Source
-    search: str
-    movement: Movement | None
-    radius: float
-    augment: bool
-    max_length: int | None
-    sampling_seed: int
-
-    def serving(self, split: str) -> dict[str, Any]:
-        """Return the arguments of the dataset of a split, which also serves ``map_index``."""
-        has_path = "path" in self.fields
-        return {
-            **vars(self),
-            "fields": tuple(dict.fromkeys((*self.fields, "map_index"))),
-            "augment": self.augment and split == "train",
-            "max_length": self.max_length if has_path else None,
-        }
-
-    def plain(self, dataset: ProblemDataset) -> dict[str, Any]:
-        """Return the arguments as plain values for JSON, as a dataset has checked them.
-
-        The problems are None where they are those of a problem set.
-        """
-        is_set = isinstance(dataset, ProblemSetDataset)
-        return {
-            **vars(self),
-            "problems": None if is_set else plain_text(self.problems),
-            "movement": asdict(dataset.movement),
-            "radius": dataset.serving.radius,
-            "max_length": dataset.serving.max_length,
-            "sampling_seed": dataset.serving.sampling_seed,
-        }
-
-
-@dataclass(frozen=True)
-class _Part:
-    """The problems of one split, in the order in which they are written.
-
-    Attributes:
-        split: "train", "val" or "test".
-        dataset: serves them.
-        numbers: (N,) ascending; number i is problem ``i % len(dataset)`` of epoch ``i //
-            len(dataset)``.
-    """
-
-    split: str
-    dataset: ProblemDataset
-    numbers: Ints
-
-    @property
-    def count(self) -> int:
-        """The number of problems."""
-        return len(self.numbers)
-
-    def batches(self, max_batch: int) -> Iterator[Columns]:
-        """Yield the fields of all problems, at most ``max_batch`` at a time."""
-        rows, columns = self.dataset.map_size
-        has_image = "image" in self.dataset.serving.fields
-        batch_cells = _IMAGE_BATCH_CELLS if has_image else _BATCH_CELLS
-        batch_size = min(max(batch_cells // (rows * columns), 1), max_batch)
-        for numbers in _within_epochs(self.numbers, len(self.dataset), batch_size):
-            batch = self.dataset.__getitems__(numbers).batch
-            yield {name: getattr(batch, name).numpy() for name in batch._fields}
-
-
-def _within_epochs(numbers: Ints, length: int, batch_size: int) -> Iterator[Ints]:
-    """Yield ascending numbers of problems, a batch of one epoch at a time.
-
-    Args:
-        numbers: (N,).
-        length: number of problems of an epoch.
-        batch_size: how many numbers a batch has at most.
-    """
-    first = 0
-    while first < len(numbers):
-        next_epoch = (numbers[first] // length + 1) * length
-        last = min(first + batch_size, int(np.searchsorted(numbers, next_epoch)))
-        yield numbers[first:last]
-        first = last
+    if file_format.has_maze_labels:
+        notes += neighbour_notes(parts, noted.neighbours, is_drawn=problem_set is None)
+    return notes + copy_notes(noted.map_hashes, noted.map_indices)
 
 
 def _format_fields(file_format: ProblemFormat, fields: Sequence[str] | None) -> tuple[str, ...]:
@@ -413,123 +275,25 @@ def _format_splits(file_format: ProblemFormat, split: str | None) -> tuple[str, 
     return (split,)
 
 
-def _open(
-    source: Any,
-    options: _Options,
-    splits: tuple[str, ...],
-    split: str | None,
-    count: int | None,
-    seed: int | None,
-    follow_links: bool,
-    distinct: bool,
-) -> tuple[list[_Part], dict[str, Any]]:
-    """Open the datasets of the splits; return them and what the source is, as plain values.
-
-    With ``distinct`` and ``count``, the parts have more problems than ``count`` if the source has,
-    since some are left out.
-
-    Splits without problems are left out, unless the caller asked for this one.
-    """
-    if count is not None:
-        count = check_count("count", count)
-        if count > _MAX_COUNT:
-            raise ValueError(
-                f"count: got {count}, expected at most {_MAX_COUNT} problems of a split"
-            )
-    if isinstance(source, ProblemSet):
-        (split_of_set,) = splits
-        parts = [_set_part(source, options, split_of_set, count, distinct)]
-        origin: dict[str, Any] = {
-            "problem_set": {
-                "content_hash": source.content_hash,
-                "description": source.description,
-            }
-        }
-    elif _is_dataset(source):
-        if seed is not None:
-            raise ValueError("seed: a built dataset has its own, expected none")
-        parts = [
-            _stored_part(source, options, name, count, follow_links, distinct) for name in splits
-        ]
-        origin = _dataset_origin(source, follow_links)
-    else:
-        if follow_links:
-            raise ValueError("follow_links: does nothing for a recipe, whose maps are in no file")
-        recipe = _source_recipe(source, seed)
-        shares = dict(zip(SPLITS, recipe.generator.splits, strict=True))
-        asked = [name for name in splits if shares[name] > 0 or name == split]
-        spare = min(_MAX_SPARE * count, _MAX_SPARE_MAPS) if distinct and count else 0
-        parts = [_online_part(recipe, options, name, count, spare) for name in asked]
-        origin = {"recipe": recipe.to_dict()}
-    written = [part for part in parts if part.count > 0]
-    if not written:
-        empty = " and ".join(part.split for part in parts)
-        raise ValueError(
-            f"problems: {plain_text(options.problems)}: the source has none of them: no map of "
-            f"{empty} gives one"
-        )
-    return written, origin
-
-
-def _stored_part(
-    source: Locations,
-    options: _Options,
-    split: str,
-    count: int | None,
-    follow_links: bool,
-    distinct: bool,
-) -> _Part:
-    """Return the problems of a split of a built dataset."""
-    dataset = MapDataset(source, split, follow_links=follow_links, **options.serving(split))
-    if count is None or len(dataset) == 0:
-        return _Part(split, dataset, np.arange(len(dataset)))
-    is_drawn_anew = isinstance(options.problems, Random) or dataset.serving.augment
-    if count > len(dataset) and not is_drawn_anew:
-        raise ValueError(
-            f"count: got {count}, but the split {split!r} has {len(dataset)} problems; problems="
-            '"random" draws as many as wanted'
-        )
-    return _Part(split, dataset, np.arange(max(count, len(dataset)) if distinct else count))
-
-
-def _set_part(
-    problem_set: ProblemSet, options: _Options, split: str, count: int | None, distinct: bool
-) -> _Part:
-    """Return the problems of a problem set, or the first ``count`` of them.
+def _check_options(file_format: ProblemFormat, options: Options) -> None:
+    """Refuse problems that have no path for what needs one.
 
     Raises:
-        ValueError: it has fewer.
+        ValueError: the message names the argument.
     """
-    serving = options.serving(split)
-    for name in ("problems", "movement", "radius"):  # those of the set
-        del serving[name]
-    dataset = ProblemSetDataset(problem_set, **serving)
-    if count is not None and count > len(dataset) and not dataset.serving.augment:
-        raise ValueError(f"count: got {count}, but the problem set has {len(dataset)} problems")
-    if count is None or (distinct and count < len(dataset)):
-        count = len(dataset)
-    return _Part(split, dataset, np.arange(count))
-
-
-def _problem_set(source: Any) -> ProblemSet | None:
-    """Return the problem set that a source is, or that its file holds; None for other sources.
-
-    Raises:
-        ValueError: as `read_problems`.
-    """
-    if isinstance(source, ProblemSet):
-        return source
-    if isinstance(source, (str, os.PathLike)):
-        path = Path(source)
-        if path.suffix.lower() in (".npz", ".scen") and path.is_file():
-            return read_problems(path)
-    return None
+    if options.problems.unsolvable and file_format.needs_paths:
+        raise ValueError(
+            f"problems: {file_format.name} needs a path of each problem, expected none with "
+            "unsolvable=True"
+        )
+    if options.max_length is not None and "path" not in options.fields:
+        raise ValueError("max_length: expected 'path' among the fields")
 
 
 def _check_set_options(
     file_format: ProblemFormat,
     problem_set: ProblemSet,
-    options: _Options,
+    options: Options,
     split: str | None,
     given: Mapping[str, object],
 ) -> None:
@@ -564,121 +328,22 @@ def _check_set_options(
         raise ValueError("source: got a problem set without problems, expected at least one")
 
 
-def _online_part(
-    recipe: Recipe, options: _Options, split: str, count: int | None, spare: int
-) -> _Part:
-    """Return the problems of a split of maps that are made on the fly, and some to spare."""
-    if count is None:
-        indices = maps_of_split(recipe.generator, recipe.seed, split, recipe.maps)
-        count = int((indices < recipe.maps).sum()) * options.problems.per_map
-        if count == 0:
-            raise ValueError(f"split: none of the {recipe.maps} maps of the recipe is in {split!r}")
-    length = count + spare
-    dataset = OnlineMapDataset(
-        recipe.generator, recipe.seed, length, split, **options.serving(split)
-    )
-    return _Part(split, dataset, np.arange(length))
-
-
-def _without_copies(parts: Sequence[_Part], count: int | None) -> list[_Part]:
-    """Return the parts without the problems on copies of earlier maps.
-
-    Args:
-        parts: the splits.
-        count: how many problems a split shall have; None for all that are left.
+def _check_parts(file_format: ProblemFormat, parts: Sequence[Part], options: Options) -> None:
+    """Refuse maps and splits that a format cannot hold.
 
     Raises:
-        ValueError: a split has fewer on maps that differ.
+        ValueError: the message names the format or the argument.
     """
-    owners: dict[bytes, int] = {}
-    distinct_parts = []
-    for part in parts:
-        wanted = part.count if count is None else count
-        kept = np.empty(0, np.int64)
-        tried = 0
-        while len(kept) < wanted and tried < part.count:
-            # Few more problems are drawn than are wanted, since rare ones take long to draw.
-            batch_size = min(max(wanted - len(kept), _MIN_BATCH), _MAX_BATCH)
-            numbers = next(_within_epochs(part.numbers[tried:], len(part.dataset), batch_size))
-            found = _on_first_maps(part.dataset, numbers, owners, wanted - len(kept))
-            kept = np.concatenate((kept, found))
-            tried += len(numbers)
-        if count is not None and len(kept) < count:
-            raise ValueError(
-                f"distinct: {part.split} has only {len(kept):,} problems on maps that differ, "
-                f"turned and reflected ones too, among {part.count:,} problems; expected a count "
-                f"of at most {len(kept):,}, or larger maps"
-            )
-        distinct_parts.append(replace(part, numbers=kept))
-    return [part for part in distinct_parts if part.count > 0]
-
-
-def _on_first_maps(
-    dataset: ProblemDataset, numbers: Ints, owners: dict[bytes, int], wanted: int
-) -> Ints:
-    """Return the first ``wanted`` problems on maps that no earlier map equals.
-
-    Args:
-        dataset: the dataset of the problems.
-        numbers: (N,) numbers of problems of one epoch.
-        owners: the number of the first map with each hash; the maps of the problems that are
-            returned are added, and no others, which would make later maps copies.
-        wanted: how many problems are returned at most.
-    """
-    epoch = int(numbers[0]) // len(dataset)
-    batch = dataset.batch_of(numbers % len(dataset), epoch)
-    _, digests = map_digests(batch)
-    map_indices = batch.compute_map_indices().tolist()
-    found: list[int] = []
-    for number, digest, index in zip(numbers.tolist(), digests, map_indices, strict=True):
-        if len(found) == wanted:
-            break
-        if owners.setdefault(digest, index) == index:
-            found.append(number)
-    return np.array(found, np.int64)
-
-
-def _is_dataset(source: Locations | RecipeLike) -> bool:
-    """Return whether a source is a built dataset, and not a recipe."""
-    if isinstance(source, (MapGenerator, Recipe, Mapping)):
-        return False
-    if not isinstance(source, (str, os.PathLike)):
-        return True  # a list of folders
-    name = os.fspath(source)
-    return name not in PRESETS and ("://" in name or Path(name).is_dir())
-
-
-def _source_recipe(source: RecipeLike, seed: int | None) -> Recipe:
-    """Return the recipe that a source stands for.
-
-    Raises:
-        ValueError: it is neither a dataset nor a recipe.
-    """
-    if isinstance(source, str) and not source.lstrip().startswith("{"):
-        path = Path(source)
-        if path.suffix and not path.exists():
-            raise ValueError(f"{source}: no such file or folder")
-    try:
-        return as_recipe(source, seed=seed)
-    except ValueError as error:
-        if "expected a preset" not in str(error):
-            raise
-        raise ValueError(f"{error}; or the folder or URL of a built dataset") from None
-
-
-def _dataset_origin(source: Locations, follow_links: bool) -> dict[str, Any]:
-    """Return what a dataset is, as plain values."""
-    root = Root.open(source, follow_links=follow_links)
-    return {
-        "datasets": [
-            {
-                "content_hash": manifest.content_hash,
-                "identity": manifest.identity,
-                "recipe": None if manifest.generator is None else json.loads(manifest.recipe()),
-            }
-            for manifest in root.manifests
-        ]
-    }
+    dataset = parts[0].dataset
+    _check_terrain(file_format, dataset, options.search)
+    if file_format.has_maze_labels:
+        _check_square_and_straight(file_format.name, dataset)
+    if file_format.is_one_file:
+        _check_all_splits(file_format, parts)
+    rows, columns = dataset.map_size
+    max_length = options.max_length
+    if max_length is not None and max_length > rows * columns:
+        raise ValueError(f"max_length: got {max_length}, but a map has only {rows * columns} cells")
 
 
 def _check_terrain(file_format: ProblemFormat, dataset: ProblemDataset, search: str) -> None:
@@ -718,14 +383,14 @@ def _check_square_and_straight(name: str, dataset: ProblemDataset) -> None:
         )
 
 
-def _check_all_splits(file_format: ProblemFormat, parts: Sequence[_Part]) -> None:
+def _check_all_splits(file_format: ProblemFormat, parts: Sequence[Part]) -> None:
     """Refuse a source without problems in a split of a format that is one file of all splits."""
     missing = [name for name in file_format.splits if name not in {part.split for part in parts}]
     if missing:
         raise ValueError(f"{file_format.name}: the source has no problems in {', '.join(missing)}")
 
 
-class _Written(NamedTuple):
+class _Noted(NamedTuple):
     """What is noted of the problems while they are written.
 
     Attributes:
@@ -742,12 +407,43 @@ class _Written(NamedTuple):
 
 
 def _write(
-    parts: Sequence[_Part],
+    parts: Sequence[Part],
+    file_format: ProblemFormat,
+    options: Options,
+    folder: Path,
+    progress: bool,
+) -> tuple[_Noted, dict[str, ProblemStatistics], dict[str, Any]]:
+    """Write the files of all splits into an empty folder.
+
+    Returns:
+        What was noted; by split, what some of its problems are worth; and what each file holds, by
+        its name, as plain values for JSON.
+
+    Raises:
+        ValueError, OSError: as the writer of the format; it has closed its files by then.
+    """
+    dataset = parts[0].dataset
+    counts = {part.split: part.count for part in parts}
+    writer = file_format.new_writer(
+        WriterTarget(folder, counts, dataset.map_size, dataset.movement, options.max_length)
+    )
+    try:
+        noted = _write_fields(parts, writer, options.fields, file_format.max_batch, progress)
+        statistics = {part.split: measure(part.dataset, numbers=part.numbers) for part in parts}
+        files = writer.finish(counts, dataset.map_size)
+    except BaseException:
+        writer.abort()
+        raise
+    return noted, statistics, files
+
+
+def _write_fields(
+    parts: Sequence[Part],
     writer: Writer,
     fields: tuple[str, ...],
     max_batch: int,
     progress: bool,
-) -> _Written:
+) -> _Noted:
     """Write the fields of all problems of all splits, at most ``max_batch`` at a time."""
     map_field = "terrain" if parts[0].dataset.has_terrain else "map"
     has_maps = map_field in parts[0].dataset.serving.fields
@@ -778,116 +474,4 @@ def _write(
                 advance(len(next(iter(columns.values()))))
     map_hashes = {split: np.concatenate(hashes) for split, hashes in hashes_of_batches.items()}
     map_indices = {split: np.concatenate(numbers) for split, numbers in indices_of_batches.items()}
-    return _Written(map_hashes, map_indices, neighbours)
-
-
-def _source_notes(source: Any) -> list[str]:
-    """Return a note on a source that names both a preset and a dataset in the working folder."""
-    if not isinstance(source, str) or source not in PRESETS:
-        return []
-    if not (Path(source) / MANIFEST).exists():
-        return []
-    return [
-        f"source: {source} is the preset; ./{source} is the dataset in the folder of this name, "
-        "which was not read"
-    ]
-
-
-def _count_notes(parts: Sequence[_Part]) -> list[str]:
-    """Return notes on the number of problems of each split."""
-    notes = [f"{part.split}: {part.count:,} problems" for part in parts]
-    for part in parts:
-        if part.count > len(part.dataset):
-            notes.append(
-                f"{part.split}: maps are used again, with other starts and goals, since an epoch "
-                f"has {counted(len(part.dataset), 'problem')}"
-            )
-    return notes
-
-
-def _map_notes(parts: Sequence[_Part], map_indices: Mapping[str, Ints]) -> list[str]:
-    """Return notes on random problems that are on fewer maps than they could be.
-
-    Args:
-        parts: the splits.
-        map_indices: numbers of the maps, one for each problem, by split.
-    """
-    notes = []
-    for part in parts:
-        _, problems_on_map = np.unique(map_indices[part.split], return_counts=True)
-        map_count = len(problems_on_map)
-        # Random problems of an epoch are evenly on all maps, as long as each map has some.
-        source = part.dataset.serving.problems
-        possible_maps = -(-min(part.count, len(part.dataset)) // source.per_map)  # rounded up
-        is_random = isinstance(source, Random)
-        if is_random and map_count < _FEW_MAPS * possible_maps:
-            notes.append(
-                f"{part.split}: these {part.count:,} problems are on {map_count:,} different maps "
-                f"of {possible_maps:,}, up to {problems_on_map.max():,} on one map, because few "
-                "maps have such a problem; wider conditions or more maps give more"
-            )
-    return notes
-
-
-def _target_notes(
-    fields: tuple[str, ...], statistics: Mapping[str, ProblemStatistics]
-) -> list[str]:
-    """Return a note if paths are written that are often one of several shortest paths.
-
-    It is of the first split; the splits hardly differ.
-    """
-    split, first = next(iter(statistics.items()))
-    has_path = not {"path", "path_mask"}.isdisjoint(fields)
-    if has_path and first.single_path.value < _FEW_SINGLE_PATHS:
-        return [f"{split}: {first.target_text()}"]
-    return []
-
-
-def _neighbour_notes(
-    parts: Sequence[_Part], neighbours: Mapping[str, int], *, is_drawn: bool
-) -> list[str]:
-    """Return notes on mazes whose solution equals the question: no cell is between S and G.
-
-    Args:
-        parts: the splits.
-        neighbours: number of such problems, by split.
-        is_drawn: whether the problems are drawn, so that conditions may leave some out.
-    """
-    remedy = "; --length 3: leaves them out" if is_drawn else ""
-    return [
-        f"{part.split}: in {neighbours[part.split]:,} of {part.count:,} problems S and G are "
-        f"neighbours, so the solved maze equals the question{remedy}"
-        for part in parts
-        if neighbours[part.split]
-    ]
-
-
-def _copy_notes(map_hashes: Mapping[str, Array], map_indices: Mapping[str, Ints]) -> list[str]:
-    """Return notes on problems whose maps are copies: in a split, and of maps in train.
-
-    Args:
-        map_hashes: hashes of the maps, one for each problem, by split; or empty.
-        map_indices: numbers of the maps, one for each problem, by split.
-    """
-    notes = []
-    for split, hashes in map_hashes.items():
-        numbers, first_problems = np.unique(map_indices[split], return_index=True)
-        different = len(np.unique(hashes[first_problems]))
-        if different < len(numbers):
-            notes.append(
-                f"{split}: of its {len(numbers):,} maps {different:,} differ, and the others are "
-                "copies of them; --distinct leaves out the problems on copies"
-            )
-    if "train" not in map_hashes or len(map_hashes) == 1:
-        return notes
-    split_codes = [
-        np.full(len(hashes), SPLITS.index(split), np.uint8) for split, hashes in map_hashes.items()
-    ]
-    repeats = count_repeats(np.concatenate(list(map_hashes.values())), np.concatenate(split_codes))
-    notes += [
-        f"{later}: {count:,} of {len(map_hashes[later]):,} problems are on maps that are also in "
-        "train, so a model saw these maps in training; --distinct leaves them out"
-        for (earlier, later), count in repeats.across.items()
-        if earlier == "train" and count > 0
-    ]
-    return notes
+    return _Noted(map_hashes, map_indices, neighbours)

@@ -41,6 +41,10 @@ _EXAMPLE = '{"spec": "dungeon", "seed": 7, "maps": 500}'
 """A recipe as JSON, for error messages."""
 
 
+class RecipeError(ValueError):
+    """An object that stands for no recipe: no preset, no file, and of no type that has one."""
+
+
 @dataclass(frozen=True)
 class Recipe:
     """Which maps: a generator, a seed and the number of maps.
@@ -120,7 +124,8 @@ def as_recipe(recipe: RecipeLike, *, seed: int | None = None, maps: int | None =
             content hash.
 
     Raises:
-        ValueError: none of these, or a recipe with impossible values.
+        RecipeError: none of these.
+        ValueError: no such file, or a recipe with impossible values.
 
     >>> as_recipe("maze", maps=20).maps
     20
@@ -162,7 +167,7 @@ def _load(recipe: object) -> Recipe:
                 "are served by ProblemSet.read, MapDataset and MapDataModule"
             )
         raise ValueError(f"recipe: {recipe}: no such file, expected a recipe as JSON")
-    raise ValueError(
+    raise RecipeError(
         f"recipe: got {recipe!r}, expected a preset ({', '.join(PRESETS)}), the path of a recipe "
         f"file, JSON text such as {_EXAMPLE}, a mapping, a MapGenerator or a Recipe"
         f"{did_you_mean(recipe, PRESETS) if isinstance(recipe, str) else ''}"

@@ -30,12 +30,12 @@ from mapdata import (
     build,
 )
 from mapdata.arrays import Array, Bytes
-from mapdata.export import LAYOUTS, PROBLEM_FORMATS, export_problems, verify_export
+from mapdata.export import PROBLEM_FORMATS, export_problems, verify_export
 from mapdata.export.growing_array import GrowingArray
-from mapdata.export.layouts import Columns
+from mapdata.export.layouts import LAYOUTS, Columns
 from mapdata.export.parquet import ParquetWriter
 from mapdata.export.problem_formats import FORMATS
-from mapdata.export.problems import _Part
+from mapdata.export.sources import Part
 from mapdata.export.writers import ArrayWriter
 from mapdata.formats import Collection, ForeignMap, import_maps, is_shortest_answer
 from mapdata.problems.sources import plain_text
@@ -636,13 +636,13 @@ def test_an_interrupted_export_leaves_nothing(
     format_name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Neither the target nor a temporary folder."""
-    batches = _Part.batches
+    batches = Part.batches
 
-    def interrupted(part: _Part, max_batch: int) -> Iterator[Columns]:
+    def interrupted(part: Part, max_batch: int) -> Iterator[Columns]:
         yield next(batches(part, max_batch))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(_Part, "batches", interrupted)
+    monkeypatch.setattr(Part, "batches", interrupted)
     source = "tiles" if format_name == "warcraft" else MAZE
     with pytest.raises(KeyboardInterrupt):
         export_problems(source, tmp_path / "out", format=format_name, count=12)
@@ -699,14 +699,14 @@ def test_a_link_is_refused_and_a_folder_that_appears_meanwhile_stays(
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
     with pytest.raises(ValueError, match="is a link"):
         export_problems(root, tmp_path / "link")
-    batches = _Part.batches
+    batches = Part.batches
 
-    def overtaken(part: _Part, max_batch: int) -> Iterator[Columns]:
+    def overtaken(part: Part, max_batch: int) -> Iterator[Columns]:
         (tmp_path / "out").mkdir(exist_ok=True)
         (tmp_path / "out/theirs").write_text("kept")
         yield from batches(part, max_batch)
 
-    monkeypatch.setattr(_Part, "batches", overtaken)
+    monkeypatch.setattr(Part, "batches", overtaken)
     with pytest.raises(ValueError, match="exists already"):
         export_problems(root, tmp_path / "out")
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["theirs"]
@@ -741,14 +741,14 @@ def test_a_layout_with_many_rows_a_problem_takes_few_problems_at_once(
 ) -> None:
     """VIN has a picture for each move of a path: memory would grow with the lengths of paths."""
     sizes = []
-    batches = _Part.batches
+    batches = Part.batches
 
-    def counted(part: _Part, max_batch: int) -> Iterator[Columns]:
+    def counted(part: Part, max_batch: int) -> Iterator[Columns]:
         for columns in batches(part, max_batch):
             sizes.append(len(columns["map"]))
             yield columns
 
-    monkeypatch.setattr(_Part, "batches", counted)
+    monkeypatch.setattr(Part, "batches", counted)
     export_problems(MAZE, tmp_path / "out", format="vin", count=70)
     assert sizes == [32, 32, 6] * 2
 

@@ -19,7 +19,8 @@ from mapdata import (
     Terrain,
     build,
 )
-from mapdata.export import LAYOUTS, PROBLEM_FORMATS, export_problems
+from mapdata.export import PROBLEM_FORMATS, export_problems
+from mapdata.export.layouts import LAYOUTS
 from mapdata.formats import export, import_maps, read_any
 from mapdata.formats.registry import functions_by_format
 
