@@ -54,8 +54,8 @@ def import_command(
         **options: those of `import_maps` and of the formats
     """
     from mapdata.checks import check_count
-    from mapdata.formats import Limits, import_maps, read_any, recognise
-    from mapdata.formats.registry import functions_by_format
+    from mapdata.formats import Limits, import_maps, read_any
+    from mapdata.formats.registry import checked_function, recognise
     from mapdata.options import options_of
 
     movement = movement_of_flags(connectivity, corner_cutting, diagonal_cost)
@@ -65,7 +65,7 @@ def import_command(
     import_options = {name: options.pop(name) for name in _IMPORT_OPTIONS}
     format_options = unprefixed_options(format_name, options)
     # Options such as --resolution and --seed-points also go to a format that knows them.
-    for name in options_of(functions_by_format("read")[format_name]):
+    for name in options_of(checked_function("read", format_name, {})):
         if name in import_options:
             format_options[name] = import_options[name]
     collection = read_any(src, format_name, limits, **format_options)
@@ -190,12 +190,15 @@ def check_scen_command(
 def add_import_flags(parser: argparse.ArgumentParser) -> None:
     """Add the flags of ``mapdata import`` for the options of `import_maps` and of all formats."""
     from mapdata.formats.importing import import_maps
-    from mapdata.formats.registry import functions_by_format
+    from mapdata.formats.registry import FORMATS, functions_by_format
     from mapdata.options import options_of
 
     formats = functions_by_format("read")
+    explained = [name for name, known in FORMATS.items() if known.why_unread]
     parser.add_argument(
-        "--format", choices=formats, help="format of SRC (default: recognised by its files)"
+        "--format",
+        choices=[*formats, *explained],
+        help="format of SRC (default: recognised by its files)",
     )
     options = options_of(import_maps)
     for name in _IMPORT_OPTIONS:

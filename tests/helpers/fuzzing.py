@@ -188,7 +188,7 @@ def format_cases(folder: Path) -> Iterator[tuple[str, Case]]:
     """Yield the cases of each foreign format, from what mapdata exports."""
     root = folder / "maps"
     build(root, SPEC, maps=6, seed=2)
-    for kind in ("paper", "movingai", "planning-datasets"):
+    for kind in ("movingai", "planning-datasets"):
         target = folder / ("maps.npz" if kind == "planning-datasets" else kind)
         export(root, target, kind)
         yield kind, _format_case(target, kind)
