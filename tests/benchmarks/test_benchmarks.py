@@ -19,7 +19,8 @@ from benchmarks import __main__ as door
 from benchmarks import graphs, loading, making, measure, naive, paths, terrain
 from benchmarks.measure import Peer, Row
 from mapdata import MapSpec, Movement, build, distance_field, generate, label
-from mapdata.formats.movingai import read_scen, read_terrain, terrain_grid
+from mapdata.formats.movingai import read_terrain, terrain_grid
+from mapdata.formats.movingai_scen import read_scen
 
 MAPS = 20
 

@@ -18,14 +18,8 @@ from hypothesis import strategies as st
 from mapdata import ProblemSet, read_shard
 from mapdata.evaluation import classical, evaluate
 from mapdata.formats import FormatError, Limits, read_any, read_problems
-from mapdata.formats.movingai import (
-    Problem,
-    agrees,
-    check_scen,
-    read_scen,
-    read_terrain,
-    terrain_grid,
-)
+from mapdata.formats.movingai import check_scen, read_terrain, terrain_grid
+from mapdata.formats.movingai_scen import Problem, agrees, read_scen
 from mapdata.movement import Movement
 from mapdata.shards import read_manifest
 
