@@ -17,7 +17,6 @@ import numpy as np
 
 from mapdata.checks import check_count, check_integers
 from mapdata.generators.generator import check_plain
-from mapdata.generators.maps import Maps, pack
 from mapdata.generators.recipe import (
     Recipe,
     RecipeLike,
@@ -29,7 +28,8 @@ from mapdata.generators.recipe import (
 )
 from mapdata.generators.stored_families import unknown_family, why_not_drawn
 from mapdata.hashing import canonical_json
-from mapdata.search.labels import HighCostError, Labels, label
+from mapdata.search.labels import label
+from mapdata.shards.costly_maps import costly_rows, label_exactly
 from mapdata.shards.errors import ShardError
 from mapdata.shards.files import StrPath, file_hash, file_size, make_folder, write_file
 from mapdata.shards.header import Header, Span
@@ -344,87 +344,10 @@ def build_shard(
     if header.generator is None or header.seed is None:
         raise ValueError("imported maps cannot be made again: they have no recipe")
     maps = generate(header.generator, header.seed, range(header.start, header.stop))
-    labels = _label_exactly(maps, advance)
+    labels = label_exactly(maps, advance)
     image, content = shard_image(labels, header)
     write_file(root / header.file_name, image)
     return entry_of(header, content, labels, image)
-
-
-def _label_exactly(maps: Maps, advance: Advance) -> Labels:
-    """Return the labels of maps; those with costs that are too high get no problems.
-
-    Only few maps of a dataset are so, since `_check_first_costs` refuses others. Such a map would
-    otherwise stop a build after hours.
-
-    Args:
-        maps: the maps.
-        advance: called with the number of maps that were finished since its last call.
-    """
-    finished = 0
-
-    def count(number: int) -> None:
-        nonlocal finished
-        finished += number
-        advance(number)
-
-    try:
-        return label(maps, count)
-    except HighCostError:
-        costly = _costly_rows(maps)
-    for row, error in costly.items():
-        warnings.warn(
-            f"map {maps.index[row]}: {error.complaint}; it is stored with a single free cell, and "
-            "has no problems",
-            stacklevel=2,
-        )
-    labels = label(_without_problems(maps, list(costly)))
-    advance(len(maps) - finished)
-    return labels
-
-
-def _costly_rows(maps: Maps) -> dict[int, HighCostError]:
-    """Return the rows of the maps whose costs are too high to be exact, each with its error."""
-    costly = {}
-    for row in range(len(maps)):
-        try:
-            label(maps.selected(slice(row, row + 1)))
-        except HighCostError as error:
-            costly[row] = error
-    return costly
-
-
-def _without_problems(maps: Maps, rows: list[int]) -> Maps:
-    """Return maps of which ``rows`` have no free cell but their first seed point.
-
-    Maps of obstacles alone are drawn so, too (docs/format.md).
-    """
-    assert maps.terrain is not None
-    grids = maps.occupancy.copy()
-    terrain = maps.terrain.copy()
-    rooms = maps.rooms.copy()
-    seed_points = maps.seed_points.copy()
-    sizes = maps.sizes.copy()
-    directions = maps.directions.copy()
-    for row in rows:
-        row_index, column = seed_points[row, 0]
-        cost = terrain[row, row_index, column]
-        grids[row] = 1
-        terrain[row] = 0
-        grids[row, row_index, column] = 0
-        terrain[row, row_index, column] = cost
-        rooms[row] = 1
-        seed_points[row, 1:] = -1
-        sizes[row, 1:] = -1
-        directions[row] = -1
-    return replace(
-        maps,
-        packed=pack(grids),
-        rooms=rooms,
-        seed_points=seed_points,
-        sizes=sizes,
-        directions=directions,
-        terrain=terrain,
-    )
 
 
 def _built_entries(
@@ -617,7 +540,7 @@ def _check_first_costs(recipe: Recipe) -> None:
     if not recipe.generator.has_terrain:
         return
     maps = generate(recipe, indices=range(min(recipe.maps, _FIRST_MAPS)))
-    costly = _costly_rows(maps)
+    costly = costly_rows(maps)
     if 2 * len(costly) >= len(maps):
         row, error = next(iter(costly.items()))
         raise ValueError(

@@ -343,14 +343,7 @@ def _repair_shards(
     follow_links: bool,
     progress: bool,
 ) -> tuple[list[Entry], list[Corruption]]:
-    """Replace the shards that have faults.
-
-    Args:
-        root: folder of the dataset.
-        manifest: of the dataset.
-        faults: the fault of each shard that can be repaired.
-        follow_links: read files that are links out of the folder.
-        progress: show a progress bar.
+    """Replace the shards that have ``faults``.
 
     Returns:
         The entries of the repaired shards, and the faults that remain.
@@ -390,15 +383,8 @@ def _repair_shard(
 ) -> Entry | None:
     """Build a shard from its recipe, or rewrite imported maps if the file still holds them.
 
-    Args:
-        root: folder of the dataset.
-        stated_hashes: content hash of the shards that the manifest lists, by name.
-        damaged: (start, stop) of the shards whose files may not be kept as they are.
-        follow_links: read a file that is a link out of the folder.
-        header: of the shard.
-
-    Returns:
-        The entry of the new shard; None if imported maps are lost.
+    The manifest states the content hashes, by name; the files of ``damaged`` shards may not be kept
+    as they are. Return the entry of the new shard, or None if imported maps are lost.
     """
     if header.generator is not None:
         return build_shard(root, header, damaged=damaged, follow_links=follow_links)
@@ -430,13 +416,8 @@ def _check_files(
 ) -> list[Corruption]:
     """Return the faults of all files of a dataset but its manifest.
 
-    Args:
-        location: folder or URL of the dataset.
-        manifest: of the dataset.
-        is_listed: whether ``manifest`` is the one on disk; otherwise it was gathered from the
-            sound shards, which does not tell a lost shard from one that was never built.
-        follow_links: read files that are links out of the folder.
-        progress: show a progress bar.
+    Unless ``manifest`` ``is_listed``, on disk, it was gathered from the sound shards, which does
+    not tell a lost shard from one that was never built.
     """
     faults = _check_provenance(location, follow_links) if manifest.generator is None else []
     faults += _check_listed_shards(location, manifest, follow_links, progress)
@@ -464,10 +445,7 @@ def _check_listed_shards(
 def _check_planned_shards(
     location: str, manifest: Manifest, is_listed: bool, follow_links: bool
 ) -> list[Corruption]:
-    """Return a fault for each shard that is planned but not listed.
-
-    See `_check_files` for the arguments.
-    """
+    """Return a fault for each shard that is planned but not listed; as `_check_files`."""
     listed_names = {entry.name for entry in manifest.shards}
     missing = _NOT_FINISHED if is_listed else "missing"
     faults = []
@@ -560,13 +538,9 @@ def _gather_manifest(
 def _guess_shard_size(
     root: Path, spans: Sequence[Span], default: int, follow_links: bool
 ) -> int | None:
-    """Return the shard size of a dataset with shards of these spans, or None if none fits.
+    """Return the shard size of a dataset with shards of these sorted spans, or None if none fits.
 
-    Args:
-        root: folder of the dataset.
-        spans: (start, stop) of its shards, sorted.
-        default: the size to assume if the only shard may be a partial one.
-        follow_links: read a manifest that is a link out of the folder.
+    ``default`` is assumed if the only shard may be a partial one.
     """
     largest = max(stop - start for start, stop in spans)
     candidates = []

@@ -48,14 +48,14 @@ _ROOT_GROUP = rb"""                             # IV.A.1.b, an object header
     \x15 \x12\x00 \x04 \x00\x00 (.{8}) (.{8})   # IV.A.2.v, heap and B-tree of the attributes
 """
 
-_HEAP = rb"""                      # III.G, the header of a fractal heap
-    FRHP \x00 [\x07\x08]\x00        # version, bytes of an ID
-    \x00\x00 \x02 \x00\x10\x00\x00    # no filters, blocks have checksums, bytes of an object
-    .{96} \x04\x00                 # sizes and numbers, blocks in a row
-    \x00[\x02\x04]\x00{6}           # bytes of the first block
-    \x00\x00\x01\x00{5}             # and of the largest one that holds objects
-    ([\x20\x28])\x00 \x01\x00       # bits of an offset, rows at first
-    (.{8}) ([\x00-\x08])\x00       # address of the root block; its rows, 0 if it is the only block
+_HEAP = rb"""                          # III.G, the header of a fractal heap
+    FRHP \x00 [\x07\x08]\x00 \x00\x00  # version, bytes of an ID, no filters
+    \x02 \x00\x10\x00\x00              # blocks have checksums; bytes of an object, at most
+    .{96} \x04\x00                     # numbers and sizes, blocks in a row
+    \x00[\x02\x04]\x00{6}              # bytes of the first block
+    \x00\x00\x01\x00{5}                # and of the largest one that holds objects
+    ([\x20\x28])\x00 \x01\x00          # bits of an offset, rows at first
+    (.{8}) ([\x00-\x08])\x00           # address of the root block; rows, 0 if it is the only block
 """
 _INDIRECT_BLOCK = rb"FHIB \x00 .{8} \x00{%d}"  # version, heap, offset; addresses of blocks follow
 _DIRECT_BLOCK = rb"FHDB \x00 .{8} (.{4})"  # version, heap, offset in the heap; objects follow
@@ -63,7 +63,7 @@ _DIRECT_BLOCK = rb"FHDB \x00 .{8} (.{4})"  # version, heap, offset in the heap; 
 _TREE = rb"""                      # III.A.2, the header of a B-tree
     BTHD \x00                      # version; type of its records, bytes of a node and of a record
     (?: \x05 \x00\x02\x00\x00 \x0b\x00 | \x08 \x00\x02\x00\x00 \x11\x00 )
-    \x00\x00 \x64\x28               # depth 0, percents of records when it splits and merges
+    \x00\x00 \x64\x28              # depth 0, at how many percent of its records it splits, merges
     (.{8}) (.)\x00                 # address of the leaf, records
 """
 _LEAF = rb"BTLF \x00 [\x05\x08]"  # version, type of its records, which follow
