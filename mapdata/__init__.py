@@ -119,36 +119,20 @@ _HOME = {name: face for face, names in _FACES.items() for name in names}
 __all__ = [*_HOME, "__version__"]  # noqa: PLE0604  (a list of names)
 
 
-def __getattr__(name: str) -> object:
-    """Import a public name on first use."""
-    if name not in _HOME:
-        raise AttributeError(f"module 'mapdata' has no attribute {name!r}{_where_it_is(name)}")
-    value = getattr(import_module(f"mapdata.{_HOME[name]}"), name)
-    globals()[name] = value
-    return value
-
-
-_FUNCTIONS_THAT_LOAD = (
-    "; mapdata.models.load_model and Model.load load weights, in mapdata.models, and "
-    "mapdata.ProblemSet.load loads problems"
+_OTHER_NAMES = (
+    "; the names of its folders are in docs/reference, such as mapdata.models.load_model and "
+    "mapdata.formats.read_problems"
 )
 
 
-def _where_it_is(name: str) -> str:
-    """Return the end of an error message: the folder of mapdata that has a name, if any has it.
-
-    The folders are searched as text, since importing them would take seconds.
-    """
-    from pathlib import Path
-
-    if name == "load":
-        return _FUNCTIONS_THAT_LOAD
-    folders = [
-        path.parent.name
-        for path in sorted(Path(__file__).parent.glob("*/__init__.py"))
-        if not name.startswith("_") and f'    "{name}"' in path.read_text(encoding="utf-8")
-    ]
-    return f"; it is in mapdata.{folders[0]}" if folders else ""
+def __getattr__(name: str) -> object:
+    """Import a public name on first use."""
+    if name not in _HOME:
+        hint = "" if name.startswith("_") else _OTHER_NAMES
+        raise AttributeError(f"module 'mapdata' has no attribute {name!r}{hint}")
+    value = getattr(import_module(f"mapdata.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

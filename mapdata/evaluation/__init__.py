@@ -1,25 +1,22 @@
 """Comparing planners: one table for anything that plans, and the classical rows."""
 
+from typing import TYPE_CHECKING
+
+from mapdata.aliases import former_names
 from mapdata.describe.intervals import confidence_intervals
 from mapdata.evaluation.guided import CostPlanner, GuidedSearch, prior
 from mapdata.evaluation.metrics import (
-    METRICS,
-    TERRAIN_METRICS,
     TIMES,
     evaluate,
-    median_interval,
     score_paths,
     to_text,
     with_interval,
 )
 from mapdata.evaluation.plan import Batched, BatchPlanner, Plan, Planner
 from mapdata.evaluation.planners import (
-    BestFirst,
     GoalFieldAstar,
     JumpPointSearch,
     LandmarkAstar,
-    Limit,
-    Search,
     classical,
 )
 from mapdata.evaluation.suite import (
@@ -32,29 +29,23 @@ from mapdata.evaluation.suite import (
 )
 
 __all__ = [
-    "METRICS",
     "SUITES",
     "SUITE_MOVEMENT",
-    "TERRAIN_METRICS",
     "TIMES",
     "BatchPlanner",
     "Batched",
-    "BestFirst",
     "CostPlanner",
     "GoalFieldAstar",
     "GuidedSearch",
     "JumpPointSearch",
     "LandmarkAstar",
-    "Limit",
     "Part",
     "Plan",
     "Planner",
-    "Search",
     "classical",
     "confidence_intervals",
     "evaluate",
     "evaluate_suite",
-    "median_interval",
     "prior",
     "score_paths",
     "suite_summary",
@@ -62,3 +53,16 @@ __all__ = [
     "to_text",
     "with_interval",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = former_names(
+        __name__,
+        {
+            "BestFirst": "planners",
+            "Limit": "planners",
+            "METRICS": "metrics",
+            "Search": "planners",
+            "TERRAIN_METRICS": "metrics",
+            "median_interval": "metrics",
+        },
+    )

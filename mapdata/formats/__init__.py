@@ -4,6 +4,9 @@ docs/formats.md describes the formats. Each is a module with a `Format`, listed 
 line takes the options of a format from the keyword-only parameters of its functions.
 """
 
+from typing import TYPE_CHECKING
+
+from mapdata.aliases import former_names
 from mapdata.formats import (
     images,
     maze_hard,
@@ -25,15 +28,7 @@ from mapdata.formats.maze_answers import (
     is_shortest_answer,
     score_answer,
 )
-from mapdata.formats.registry import (
-    FORMATS,
-    Format,
-    export,
-    read_any,
-    read_problems,
-    recognise,
-    register,
-)
+from mapdata.formats.registry import Format, export, read_any, read_problems, register
 from mapdata.formats.ros import RosMap
 from mapdata.npy import FormatError
 
@@ -54,7 +49,6 @@ for _module in (
     register(_module.FORMAT)
 
 __all__ = [
-    "FORMATS",
     "AnswerCheck",
     "Collection",
     "ForeignMap",
@@ -68,7 +62,15 @@ __all__ = [
     "is_shortest_answer",
     "read_any",
     "read_problems",
-    "recognise",
     "register",
     "score_answer",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = former_names(
+        __name__,
+        {
+            "FORMATS": "registry",
+            "recognise": "registry",
+        },
+    )

@@ -1,16 +1,18 @@
 """Families of maps, each a `MapGenerator` in its own file; presets, recipes, and the `Maps`."""
 
+from typing import TYPE_CHECKING
+
+from mapdata.aliases import former_names
 from mapdata.generators import caves, forests, mazes, random_walls, rooms, terrain
 from mapdata.generators.caves import Cave
 from mapdata.generators.forests import Forest
-from mapdata.generators.generator import GENERATORS, PRESETS, MapGenerator, identity, register
-from mapdata.generators.maps import WORD, Maps, pack
+from mapdata.generators.generator import PRESETS, MapGenerator, identity, register
+from mapdata.generators.maps import Maps
 from mapdata.generators.mazes import Maze
-from mapdata.generators.points import draw_points, largest_component, with_seed_points
+from mapdata.generators.points import with_seed_points
 from mapdata.generators.random_walls import RandomWalls
 from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe, generate
 from mapdata.generators.rooms import MapSpec
-from mapdata.generators.splits import SplitMaps, draw_splits, maps_of_split, split_thresholds
 from mapdata.generators.stored_families import UnknownFamily
 from mapdata.generators.terrain import Terrain
 
@@ -22,9 +24,7 @@ register(RandomWalls, random_walls.PRESETS)
 register(Terrain, terrain.PRESETS)
 
 __all__ = [
-    "GENERATORS",
     "PRESETS",
-    "WORD",
     "Cave",
     "Forest",
     "MapGenerator",
@@ -34,18 +34,27 @@ __all__ = [
     "RandomWalls",
     "Recipe",
     "RecipeLike",
-    "SplitMaps",
     "Terrain",
     "UnknownFamily",
     "as_recipe",
-    "draw_points",
-    "draw_splits",
     "generate",
     "identity",
-    "largest_component",
-    "maps_of_split",
-    "pack",
     "register",
-    "split_thresholds",
     "with_seed_points",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = former_names(
+        __name__,
+        {
+            "GENERATORS": "generator",
+            "SplitMaps": "splits",
+            "WORD": "maps",
+            "draw_points": "points",
+            "draw_splits": "splits",
+            "largest_component": "points",
+            "maps_of_split": "splits",
+            "pack": "maps",
+            "split_thresholds": "splits",
+        },
+    )

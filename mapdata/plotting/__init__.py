@@ -1,7 +1,10 @@
 """Figures of maps, datasets and the outputs of models, and the report page."""
 
+from typing import TYPE_CHECKING
+
+from mapdata.aliases import former_names
 from mapdata.plotting.comparison import plot_planners
-from mapdata.plotting.figures import plot_distributions, plot_figure, plot_gallery
+from mapdata.plotting.figures import plot_distributions, plot_gallery
 from mapdata.plotting.html_report import report
 from mapdata.plotting.plot import (
     COLOURS,
@@ -25,7 +28,6 @@ __all__ = [
     "STYLE",
     "plot_distributions",
     "plot_ends",
-    "plot_figure",
     "plot_gallery",
     "plot_grid",
     "plot_map",
@@ -39,3 +41,11 @@ __all__ = [
     "report",
     "write_figure",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = former_names(
+        __name__,
+        {
+            "plot_figure": "figures",
+        },
+    )

@@ -1,5 +1,8 @@
 """Shortest paths on maps: BFS, A*, distance fields, the path check, and the labels of the paper."""
 
+from typing import TYPE_CHECKING
+
+from mapdata.aliases import former_names
 from mapdata.movement import STEPS
 from mapdata.search.api import (
     BatchResult,
@@ -10,7 +13,7 @@ from mapdata.search.api import (
     distance_field,
     search_batch,
 )
-from mapdata.search.arguments import as_terrain, terrain_from_costs
+from mapdata.search.arguments import terrain_from_costs
 from mapdata.search.footprint import clearance, inflate, inflate_terrain
 from mapdata.search.free_lines import lines_are_free
 from mapdata.search.labels import Labels, RouteLabels, label
@@ -28,7 +31,6 @@ __all__ = [
     "RouteLabels",
     "SearchOrder",
     "SearchResult",
-    "as_terrain",
     "astar",
     "bfs",
     "check_path",
@@ -47,3 +49,11 @@ __all__ = [
     "terrain_from_costs",
     "to_metres",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = former_names(
+        __name__,
+        {
+            "as_terrain": "arguments",
+        },
+    )

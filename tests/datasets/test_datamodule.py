@@ -50,7 +50,7 @@ from mapdata.datasets.datamodule import OWN_LOADER_OPTIONS
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.generators import as_recipe
 from mapdata.plotting import COLOURS
-from mapdata.problems import Source
+from mapdata.problems.sources import Source
 from mapdata.shards import builder, read_manifest
 
 pytestmark = [

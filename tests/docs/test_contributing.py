@@ -13,8 +13,10 @@ import pytest
 from helpers import pages
 from helpers.pages import ROOT
 
-from mapdata import MapDataset, build, formats, generators
+from mapdata import MapDataset, build, formats
 from mapdata.datasets import FIELDS
+from mapdata.formats.registry import FORMATS
+from mapdata.generators.generator import GENERATORS
 
 
 def test_the_examples_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -26,7 +28,7 @@ def test_the_examples_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     texts = [block.text for block in pages.blocks(ROOT / "CONTRIBUTING.md")]
     texts[-1] = texts[-1].replace("\nevaluate(", "\ntable = evaluate(")
     with ExitStack() as stack:
-        for registry in (FIELDS, formats.FORMATS, generators.GENERATORS):
+        for registry in (FIELDS, FORMATS, GENERATORS):
             stack.enter_context(patch.dict(registry))
         for text in texts:
             exec(compile(text, "CONTRIBUTING.md", "exec", dont_inherit=True), names)

@@ -14,7 +14,8 @@ import pytest
 from helpers.pages import DOCS
 
 from mapdata import MapGenerator, Movement, ProblemSet, evaluate
-from mapdata.evaluation import BestFirst, classical
+from mapdata.evaluation import classical
+from mapdata.evaluation.planners import BestFirst
 
 OWN_PLANNER = """
 from mapdata import Plan

@@ -23,17 +23,9 @@ from helpers.reference import Cell
 from scipy import stats
 
 from mapdata import MapSpec, Plan, ProblemSet, astar, build, check_path, evaluate, search_batch
-from mapdata.evaluation import (
-    METRICS,
-    TIMES,
-    BestFirst,
-    Planner,
-    classical,
-    median_interval,
-    runs,
-    score_paths,
-    to_text,
-)
+from mapdata.evaluation import TIMES, Planner, classical, runs, score_paths, to_text
+from mapdata.evaluation.metrics import METRICS, median_interval
+from mapdata.evaluation.planners import BestFirst
 from mapdata.models.evaluate import evaluate_planners
 from mapdata.movement import Movement
 from mapdata.plotting import plot_planners

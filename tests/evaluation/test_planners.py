@@ -26,17 +26,8 @@ from mapdata import (
     distance_field,
     evaluate,
 )
-from mapdata.evaluation import (
-    BatchPlanner,
-    BestFirst,
-    GoalFieldAstar,
-    JumpPointSearch,
-    Limit,
-    Planner,
-    Search,
-    classical,
-)
-from mapdata.evaluation.planners import VanillaAstar
+from mapdata.evaluation import BatchPlanner, GoalFieldAstar, JumpPointSearch, Planner, classical
+from mapdata.evaluation.planners import BestFirst, Limit, Search, VanillaAstar
 from mapdata.movement import NEURAL_ASTAR, Movement
 
 MOVEMENTS = [

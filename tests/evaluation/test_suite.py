@@ -16,7 +16,6 @@ from scipy import ndimage
 from mapdata import PRESETS, Plan, astar, evaluate
 from mapdata.arrays import Bytes
 from mapdata.evaluation import (
-    METRICS,
     SUITE_MOVEMENT,
     SUITES,
     TIMES,
@@ -31,6 +30,7 @@ from mapdata.evaluation import (
     suite_to_text,
 )
 from mapdata.evaluation.held_out import SHAPES, HeldOut
+from mapdata.evaluation.metrics import METRICS
 from mapdata.evaluation.suite import COUNTED, FIRST_ROWS, NO_NETWORK
 from mapdata.generators import generate
 from mapdata.limits import Cell

@@ -19,18 +19,15 @@ from scipy.sparse.csgraph import dijkstra
 from mapdata import Plan, ProblemSet, astar, check_path, evaluate, search_batch
 from mapdata.arrays import Bytes, Ints
 from mapdata.evaluation import (
-    METRICS,
-    TERRAIN_METRICS,
     Batched,
-    BestFirst,
     GoalFieldAstar,
     JumpPointSearch,
-    Limit,
-    Search,
     classical,
     score_paths,
     to_text,
 )
+from mapdata.evaluation.metrics import METRICS, TERRAIN_METRICS
+from mapdata.evaluation.planners import BestFirst, Limit, Search
 from mapdata.movement import NEURAL_ASTAR, Movement
 from mapdata.search.api import solve_batch
 

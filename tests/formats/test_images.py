@@ -21,9 +21,10 @@ from PIL import Image, ImageOps
 from scipy import ndimage
 
 from mapdata import read_shard
-from mapdata.formats import Collection, FormatError, Limits, read_any, recognise
+from mapdata.formats import Collection, FormatError, Limits, read_any
 from mapdata.formats.files import files_below, natural_key
 from mapdata.formats.images import brightness, read, read_pixels
+from mapdata.formats.registry import recognise
 from mapdata.formats.shrinking import any_occupied
 from mapdata.shards import read_manifest
 

@@ -34,7 +34,7 @@ from mapdata import (
 from mapdata.describe import card, dataset_statistics
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.formats.importing import divided_splits
-from mapdata.generators import largest_component
+from mapdata.generators.points import largest_component
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement
 from mapdata.shards import MANIFEST, PROVENANCE, Root, read_manifest

@@ -17,13 +17,8 @@ from mapdata import (
     build,
 )
 from mapdata.export import export_problems
-from mapdata.formats import (
-    Limits,
-    import_maps,
-    is_shortest_answer,
-    read_any,
-    recognise,
-)
+from mapdata.formats import Limits, import_maps, is_shortest_answer, read_any
+from mapdata.formats.registry import recognise
 
 CHARSET = "# SGo"
 

@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 
 from mapdata import MapDataModule, MapDataset, ProblemSet, Random, read_shard
 from mapdata.evaluation import classical, evaluate
-from mapdata.formats import FormatError, Limits, export, import_maps, read_problems, recognise
+from mapdata.formats import FormatError, Limits, export, import_maps, read_problems
 from mapdata.formats.planning import negative_distances, policy, read, start_candidates
+from mapdata.formats.registry import recognise
 from mapdata.movement import NEURAL_ASTAR, Movement
 from mapdata.shards import read_manifest
 

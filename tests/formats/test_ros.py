@@ -20,8 +20,9 @@ from PIL import Image
 from scipy import ndimage
 
 from mapdata import astar, read_shard, to_metres
-from mapdata.formats import FormatError, Limits, export, read_any, recognise
+from mapdata.formats import FormatError, Limits, export, read_any
 from mapdata.formats.images import Pixels, read_pixels
+from mapdata.formats.registry import recognise
 from mapdata.formats.ros import RosMap, _classify, read, read_map, resampled
 from mapdata.shards import read_manifest
 

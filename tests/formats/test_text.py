@@ -11,7 +11,8 @@ from helpers.wild import Bytes, cli
 from PIL import Image
 
 from mapdata import MapDataset, read_shard
-from mapdata.formats import FormatError, Limits, files, read_any, recognise
+from mapdata.formats import FormatError, Limits, files, read_any
+from mapdata.formats.registry import recognise
 from mapdata.formats.text import read
 
 GRID: Bytes = np.array([[1, 1, 1, 1], [1, 0, 0, 1], [1, 0, 1, 1]], np.uint8)

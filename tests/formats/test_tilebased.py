@@ -11,14 +11,8 @@ from helpers.weighted import draw_costs, shortest_path, tile_arrays
 from helpers.wild import cli, npy, npz
 
 from mapdata import Movement, read_shard
-from mapdata.formats import (
-    FormatError,
-    Limits,
-    import_maps,
-    read_any,
-    read_problems,
-    recognise,
-)
+from mapdata.formats import FormatError, Limits, import_maps, read_any, read_problems
+from mapdata.formats.registry import recognise
 from mapdata.shards import read_manifest
 
 SPLITS = {"train": 3, "val": 1, "test": 2}

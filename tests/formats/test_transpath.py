@@ -12,7 +12,8 @@ from helpers.wild import cli
 
 from mapdata import ProblemSetDataset, read_shard
 from mapdata.arrays import Array, Bytes
-from mapdata.formats import FormatError, Limits, read_any, read_problems, recognise
+from mapdata.formats import FormatError, Limits, read_any, read_problems
+from mapdata.formats.registry import recognise
 from mapdata.formats.transpath import read
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement

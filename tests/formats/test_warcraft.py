@@ -14,14 +14,8 @@ from hypothesis import strategies as st
 
 from mapdata import MapDataset, Movement, read_shard
 from mapdata.cli import load_problems
-from mapdata.formats import (
-    FormatError,
-    Limits,
-    import_maps,
-    read_any,
-    read_problems,
-    recognise,
-)
+from mapdata.formats import FormatError, Limits, import_maps, read_any, read_problems
+from mapdata.formats.registry import recognise
 from mapdata.formats.weights import to_terrain
 from mapdata.shards import read_manifest, verify
 

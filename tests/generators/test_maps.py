@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as arrays
 
 from mapdata import Maps, Movement
 from mapdata.arrays import Bytes
-from mapdata.generators import pack
+from mapdata.generators.maps import pack
 
 SETTINGS = examples(100)
 

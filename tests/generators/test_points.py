@@ -15,8 +15,8 @@ from scipy import ndimage
 
 from mapdata import Maze
 from mapdata.arrays import Bytes
-from mapdata.generators import draw_points, largest_component, with_seed_points
-from mapdata.generators.points import count_components
+from mapdata.generators import with_seed_points
+from mapdata.generators.points import count_components, draw_points, largest_component
 
 SETTINGS = examples(100)
 GRIDS = arrays.arrays(

@@ -7,7 +7,7 @@ import pytest
 from helpers import reference
 
 from mapdata import MapSpec
-from mapdata.generators import SplitMaps, draw_splits, maps_of_split, split_thresholds
+from mapdata.generators.splits import SplitMaps, draw_splits, maps_of_split, split_thresholds
 
 SEED = 2**63 + 5
 SPEC = MapSpec(splits=(0.5, 0.3, 0.2))

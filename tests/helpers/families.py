@@ -5,8 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from mapdata.generators import GENERATORS
-from mapdata.generators.generator import _presets, register_installed
+from mapdata.generators.generator import GENERATORS, _presets, register_installed
 from mapdata.generators.stored_families import _cached_generator
 
 PILLARS = """

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from helpers.families import forget
 from mapdata.cli import main
-from mapdata.generators import GENERATORS
+from mapdata.generators.generator import GENERATORS
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

@@ -15,8 +15,8 @@ from mapdata import MapSpec, generate
 from mapdata.cli import main
 from mapdata.describe import DatasetStatistics, dataset_statistics
 from mapdata.formats import Collection, ForeignMap, import_maps
-from mapdata.plotting import plot_distributions, plot_figure, plot_gallery
-from mapdata.plotting.figures import FIGURES, pick_examples
+from mapdata.plotting import plot_distributions, plot_gallery
+from mapdata.plotting.figures import FIGURES, pick_examples, plot_figure
 
 
 @pytest.fixture(scope="module")

@@ -19,16 +19,8 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from mapdata import Labels, MapSpec, Terrain, generate, label, pull_taut
-from mapdata.plotting import (
-    COLOURS,
-    PALETTE,
-    STYLE,
-    plot_figure,
-    plot_grid,
-    plot_map,
-    plot_matrix,
-    plot_path,
-)
+from mapdata.plotting import COLOURS, PALETTE, STYLE, plot_grid, plot_map, plot_matrix, plot_path
+from mapdata.plotting.figures import plot_figure
 from mapdata.plotting.plot import mark, plot_cells
 
 OKABE_ITO = {"#000000", "#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55e00", "#cc79a7"}

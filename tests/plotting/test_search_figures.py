@@ -13,7 +13,8 @@ from PIL import Image
 from mapdata import Labels, generate, label, search_order
 from mapdata.cli import main
 from mapdata.formats import Collection, ForeignMap, import_maps
-from mapdata.plotting import COLOURS, plot_figure, plot_search
+from mapdata.plotting import COLOURS, plot_search
+from mapdata.plotting.figures import plot_figure
 from mapdata.plotting.search_figures import plot_both_searches, write_search_animation
 
 GRID = np.array([[0, 1, 0], [0, 0, 0]])

@@ -26,8 +26,7 @@ from mapdata import (
     build,
 )
 from mapdata.datasets import EpochSampler
-from mapdata.problems import Source
-from mapdata.problems.sources import check_possible, plain_text, problem_source
+from mapdata.problems.sources import Source, check_possible, plain_text, problem_source
 from mapdata.search.api import search_batch
 from mapdata.search.lattice import hardness
 

@@ -10,7 +10,7 @@ from helpers import reference
 from scipy import stats
 
 from mapdata import Pairs, Random, Route
-from mapdata.problems import Source
+from mapdata.problems.sources import Source
 from mapdata.problems.substitutes import draw_substitutes, most_maps
 
 

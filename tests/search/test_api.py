@@ -25,14 +25,8 @@ from hypothesis import strategies as st
 
 from mapdata import SearchResult, astar, bfs, check_path, distance_field, terrain_from_costs
 from mapdata.arrays import Bytes
-from mapdata.evaluation import (
-    BatchPlanner,
-    BestFirst,
-    GoalFieldAstar,
-    JumpPointSearch,
-    LandmarkAstar,
-    Search,
-)
+from mapdata.evaluation import BatchPlanner, GoalFieldAstar, JumpPointSearch, LandmarkAstar
+from mapdata.evaluation.planners import BestFirst, Search
 from mapdata.movement import Movement
 from mapdata.problems.sampling import sample_problems
 from mapdata.search import search_batch

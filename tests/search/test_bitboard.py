@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from mapdata import MapSpec, Movement, generate, label
 from mapdata.arrays import Bytes
-from mapdata.generators import pack
+from mapdata.generators.maps import pack
 from mapdata.search.bitboard import (
     build_board,
     count_bits,

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from mapdata import Movement, astar, bfs, distance_field, search_order
 from mapdata.arrays import Bytes
-from mapdata.evaluation import BestFirst
+from mapdata.evaluation.planners import BestFirst
 
 
 class Problem(NamedTuple):

@@ -40,8 +40,8 @@ from mapdata import (
 )
 from mapdata.cli import main
 from mapdata.describe import card, dataset_statistics
-from mapdata.plotting import plot_figure, report
-from mapdata.plotting.figures import FIGURES
+from mapdata.plotting import report
+from mapdata.plotting.figures import FIGURES, plot_figure
 from mapdata.shards import MANIFEST, PROVENANCE, Root, content_hash, read_manifest, remote
 from mapdata.shards.corruption import inspect, repair_faults
 from mapdata.shards.locations import locations, target_folder
