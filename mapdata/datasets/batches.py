@@ -27,7 +27,7 @@ from mapdata.datasets.stored_arrays import (
 from mapdata.limits import MAX_ROOMS, SPLITS
 from mapdata.movement import Movement
 from mapdata.problems.drawing import Paths
-from mapdata.problems.sources import Route, Source
+from mapdata.problems.sources import Pairs, Route, Source
 from mapdata.search.footprint import min_squared_clearance
 from mapdata.search.kernels import search_memory
 from mapdata.search.labels import connections_serve, pairs_of
@@ -96,7 +96,7 @@ class BatchReader:
         self._cuts_corners = served_movement.corner_cutting
         self._problems = problems
         self._labels_decide = True
-        if problems.is_stored and not problems.unsolvable:
+        if isinstance(problems, Route | Pairs) and not problems.unsolvable:
             # Problems without a path are left out. The stored labels may say which.
             self._labels_decide = connections_serve(
                 self.movement, served_movement, self.min_clearance

@@ -194,6 +194,7 @@ class GeneratedMapSource:
     def stored_rooms(self, places: Ints, search: str) -> Rooms | None:
         """Return None: nothing is stored."""
         del places, search
+        return None
 
     def substitutes(self, indices: Ints, epoch: int, numbers: Ints) -> Ints:
         """Return maps behind the first ones, each of which replaces a map of one problem.

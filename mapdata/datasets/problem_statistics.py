@@ -38,8 +38,13 @@ _GOLDEN_RATIO = (5**0.5 - 1) / 2
 class Problems(Protocol):
     """The part of a dataset that is measured here."""
 
-    map_size: Size
-    has_terrain: bool
+    @property
+    def map_size(self) -> Size:
+        """(rows, columns) of all maps."""
+
+    @property
+    def has_terrain(self) -> bool:
+        """Whether free cells cost different amounts."""
 
     def __len__(self) -> int:
         """Return the number of problems of an epoch."""

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -45,6 +45,11 @@ _MAPS_PER_HARD_PROBLEM = 1000
 
 DEFAULT_PROBLEMS = Random(distance=(10, None))
 """What `ProblemSet.sample` and `ProblemSet.read` draw: start and goal are not close together."""
+
+
+# The defaults of two fields: the maps of all problems, which are made when they are first used.
+_GRIDS: Any = cached_property(lambda problem_set: problem_set._of_all(problem_set._maps.grids))
+_TERRAIN: Any = cached_property(lambda problem_set: problem_set._of_all(problem_set._maps.terrain))
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -87,12 +92,14 @@ class ProblemSet:
     (5, True)
     """
 
-    grids: Bytes
+    __match_args__ = ("grids", "starts", "goals", "movement", "description", "terrain")
+
     starts: Ints
     goals: Ints
     movement: Movement
     description: str
-    terrain: Bytes | None
+    grids: Bytes = _GRIDS
+    terrain: Bytes | None = _TERRAIN
     map_indices: Ints = field(init=False)
     problem_numbers: Ints = field(init=False)
     optimal: BatchResult = field(init=False)
@@ -160,55 +167,36 @@ class ProblemSet:
             for is_bad, fault in ((cost == -1, "has no path"), (cost == 0, "starts at its goal")):
                 if is_bad.any():
                     raise ValueError(f"problem {int(np.argmax(is_bad))} {fault}: leave it out")
-        vars(self).update(
-            starts=_as_cells(starts),
-            goals=_as_cells(goals),
-            movement=movement,
-            description=description,
-            map_indices=map_indices,
-            problem_numbers=problem_numbers,
-            optimal=optimal,
-            _maps=maps,
-            _rows=rows,
+        self.__setstate__(
+            {
+                "starts": _as_cells(starts),
+                "goals": _as_cells(goals),
+                "movement": movement,
+                "description": description,
+                "map_indices": map_indices,
+                "problem_numbers": problem_numbers,
+                "optimal": optimal,
+                "_maps": maps,
+                "_rows": rows,
+            }
         )
-        self._protect()
 
-    def _protect(self) -> None:
-        """Make the arrays read-only, and set ``grids`` and ``terrain`` if they take no memory."""
-        maps = self._maps
-        numbers = (self.map_indices, self.problem_numbers, self._rows)
-        for array in (self.starts, self.goals, *numbers, *self.optimal, *maps):
-            if array is not None:
-                array.setflags(write=False)
-        # A pickled set may have these two already; they are writable in the new process.
-        for name in ("hardness", "hard"):
-            if name in vars(self):
-                vars(self)[name].setflags(write=False)
-        if maps.terrain is None:
-            vars(self)["terrain"] = None
-        if self._has_own_maps or len(maps.grids) == 1:
-            vars(self)["grids"] = self._repeated(maps.grids)
-            if maps.terrain is not None:
-                vars(self)["terrain"] = self._repeated(maps.terrain)
+    @classmethod
+    def _of(cls, *parts: Any) -> ProblemSet:
+        """Return a set of known maps and problems; the arguments are those of `_set`."""
+        problem_set = cls.__new__(cls)
+        problem_set._set(*parts)
+        return problem_set
 
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Array:
-            """Return ``grids`` or ``terrain`` where some problems share a map; they are kept."""
-            if name not in ("grids", "terrain") or "_maps" not in vars(self):
-                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-            repeated = self._repeated(getattr(self._maps, name))
-            repeated.setflags(write=False)
-            vars(self)[name] = repeated
-            return repeated
-
-    def _repeated(self, maps: Bytes) -> Bytes:
+    def _of_all(self, maps: Bytes | None) -> Bytes | None:
         """Return the map of each problem, (N, H, W), of the different maps, (K, H, W)."""
-        if self._has_own_maps:
+        if maps is None or self._has_own_maps:
             return maps
         if len(maps) == 1:
             return np.broadcast_to(maps[0], (len(self), *maps.shape[1:]))
-        return maps[self._rows]
+        repeated = maps[self._rows]
+        repeated.setflags(write=False)
+        return repeated
 
     @property
     def _has_own_maps(self) -> bool:
@@ -242,8 +230,7 @@ class ProblemSet:
         if len(used) < len(maps.grids):
             # Maps of no problem are left out, so that they are neither pickled nor saved.
             maps = maps.select(used)
-        subset = object.__new__(ProblemSet)
-        subset._set(
+        return ProblemSet._of(
             maps,
             self.map_indices[which],
             self.starts[which],
@@ -253,7 +240,6 @@ class ProblemSet:
             self.description,
             selected_paths(self.optimal, which),
         )
-        return subset
 
     def _selected(self, indices: Any) -> Ints:
         """Return the places in the set that ``indices`` selects, (M,)."""
@@ -298,12 +284,17 @@ class ProblemSet:
 
         The solutions are among them, so that another process does not search again.
         """
-        return {name: v for name, v in vars(self).items() if name not in ("grids", "terrain")}
+        made = ("grids", "terrain", "hardness", "hard")
+        return {name: v for name, v in vars(self).items() if name not in made}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take over the pickled attributes, again as arrays that cannot be written to."""
-        vars(self).update(state)
-        self._protect()
+        """Set all attributes, and make the arrays such that they cannot be written to."""
+        for name, value in state.items():
+            object.__setattr__(self, name, value)
+        numbers = (self.map_indices, self.problem_numbers, self._rows)
+        for array in (self.starts, self.goals, *numbers, *self.optimal, *self._maps):
+            if array is not None:
+                array.setflags(write=False)
 
     @cached_property
     def hardness(self) -> Floats:
@@ -706,8 +697,7 @@ def _load(path: Path) -> tuple[ProblemSet, str | None]:
         # The maps of a file are different ones, unless another program wrote it.
         if len(maps.grids) < len(rows):
             raise ValueError("two of its maps are equal")
-        problem_set = object.__new__(ProblemSet)
-        problem_set._set(
+        problem_set = ProblemSet._of(
             maps,
             stored.map_indices,
             stored.starts,

@@ -49,7 +49,7 @@ from mapdata import (
     label,
 )
 from mapdata.datasets.arguments import FieldFunction
-from mapdata.datasets.dataset import ProblemDataset, keep_freed_memory
+from mapdata.datasets.problem_dataset import ProblemDataset, keep_freed_memory
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.plotting import COLOURS
 from mapdata.shards import MANIFEST, Manifest, read_manifest

@@ -18,7 +18,7 @@ from helpers.specs import movements
 
 from mapdata import Labels, MapDataset, Movement, OnlineMapDataset, Sample, generate, label
 from mapdata.datasets import FIELDS, Batch
-from mapdata.datasets.fields import Rooms, StoredMaps, room_matrices
+from mapdata.datasets.fields import Rooms, room_matrices
 from mapdata.problems.drawing import Paths
 from mapdata.search.map_stack import MapStack
 
@@ -86,7 +86,8 @@ def batch_of(problems: list[Problem], movement: Movement, search: str = "astar")
         compute_map_indices=lambda: 3 * np.arange(len(problems)),
         compute_paths=lambda name: paths if name == search else None,
         compute_rooms=no_rooms,
-        compute_stored_maps=lambda: StoredMaps(np.arange(len(problems)), MapStack(grids, None)),
+        compute_map_numbers=lambda: np.arange(len(problems)),
+        compute_stored_maps=lambda: MapStack(grids, None),
         symmetries=np.zeros(len(problems), np.int64),
         requested_fields=tuple(FIELDS),
     )

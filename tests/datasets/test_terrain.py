@@ -424,6 +424,7 @@ def test_fields_of_maps_without_terrain_read_no_stored_maps() -> None:
         problems=np.array([0]),
         compute_map_indices=lambda: np.array([0]),
         compute_rooms=lambda: Rooms(np.zeros((1, 1, 1), np.float32), np.zeros((1, 1, 2), np.int64)),
+        compute_map_numbers=refuse,
         compute_stored_maps=refuse,
         symmetries=np.zeros(1, np.int64),
         requested_fields=tuple(FIELDS),

@@ -23,7 +23,7 @@ from mapdata import (
     pull_taut,
 )
 from mapdata.datasets import Batch
-from mapdata.datasets.fields import Rooms, StoredMaps
+from mapdata.datasets.fields import Rooms
 from mapdata.problems.drawing import Paths
 from mapdata.search import path_waypoints
 from mapdata.search.map_stack import MapStack
@@ -241,7 +241,8 @@ def test_a_path_through_a_wall_is_named() -> None:
         problems=np.array([17]),
         compute_map_indices=lambda: np.array([5]),
         compute_rooms=no_rooms,
-        compute_stored_maps=lambda: StoredMaps(np.array([5]), MapStack(wall, None)),
+        compute_map_numbers=lambda: np.array([5]),
+        compute_stored_maps=lambda: MapStack(wall, None),
         symmetries=np.zeros(1, np.int64),
         requested_fields=("waypoints",),
         compute_paths=lambda _: Paths(path, np.array([0, 3]), np.array([3])),
