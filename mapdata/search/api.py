@@ -22,7 +22,6 @@ from mapdata.search.arguments import (
     as_grid,
     as_optional_terrain,
     as_problems,
-    as_terrain,
     nearest_free_cell,
     problem_complaint,
     values_complaint,
@@ -488,27 +487,29 @@ def _search(
     start_cell = as_cell("start", start, array)
     goal_cell = as_cell("goal", goal, array)
     rule = move_rule(movement)
-    if terrain is not None:
-        costs = as_terrain(terrain, array)
-        if weights is ASTAR:  # BFS counts moves, whatever the cells cost.
-            maps = MapStack(array[None], costs[None])
-            ends = np.array([start_cell]), np.array([goal_cell])
-            solved = maps.solve(*ends, movement, error_prefix=lambda _: "")
-            (cost,) = maps.costs_of(solved, movement).tolist()
-            return SearchResult(solved.cells, cost, int(solved.expansions[0]))
-    path, straight, diagonal, expansions, high_cost = solve_problem(
-        array,
-        *start_cell,
-        *goal_cell,
-        weights,
-        diagonal_moves(rule),
-        rule,
-        kept_memory(array.shape, rule),
-    )
-    if high_cost:
-        raise ValueError(high_cost_complaint(high_cost))
-    # Every search expands its start, so 0 says that the kernel refused the problem.
-    if expansions == 0:
-        raise ValueError(problem_complaint(array, start_cell, goal_cell))
-    cost = straight + diagonal * movement.diagonal_cost if len(path) else -1.0
-    return SearchResult(path, cost, expansions)
+    costs = as_optional_terrain(terrain, array)
+    if costs is None or weights is not ASTAR:  # BFS counts moves, whatever the cells cost.
+        units_per_cell = 1
+        path, straight, diagonal, expansions, high_cost = solve_problem(
+            array,
+            *start_cell,
+            *goal_cell,
+            weights,
+            diagonal_moves(rule),
+            rule,
+            kept_memory(array.shape, rule),
+        )
+        if high_cost:
+            raise ValueError(high_cost_complaint(high_cost))
+        # Every search expands its start, so 0 says that the kernel refused the problem.
+        if expansions == 0:
+            raise ValueError(problem_complaint(array, start_cell, goal_cell))
+    else:
+        units_per_cell = 2  # Sums of costs on terrain are doubled.
+        ends = np.array([start_cell]), np.array([goal_cell])
+        maps = MapStack(array[None], costs[None])
+        solved = maps.solve(*ends, movement, error_prefix=lambda _: "")
+        path, expansions = solved.cells, int(solved.expansions[0])
+        straight, diagonal = solved.sums[0].tolist()
+    moves_cost = straight + diagonal * movement.diagonal_cost
+    return SearchResult(path, moves_cost / units_per_cell if len(path) else -1.0, expansions)
