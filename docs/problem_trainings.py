@@ -165,10 +165,11 @@ def training_problems(problems: SourceLike, target: str) -> tuple[Tensor, ...]:
 
 @dataclass(frozen=True)
 class Found:
-    """What a search found: the cost of its path, and how many cells it expanded."""
+    """What a search found: the cost of its path, how many cells it expanded, and the path."""
 
     cost: float
     expansions: int
+    path: list[tuple[int, int]]
 
 
 def guided_search(
@@ -190,6 +191,7 @@ def guided_search(
     first = (int(start[0]), int(start[1]))
     last = (int(goal[0]), int(goal[1]))
     costs = {first: 0.0}
+    parents: dict[tuple[int, int], tuple[int, int]] = {}
     closed = set()
     queue = [(0.0, 0, first)]
     pushes = 0
@@ -199,7 +201,10 @@ def guided_search(
             continue
         closed.add(cell)
         if cell == last:
-            return Found(costs[cell], len(closed))
+            path = [cell]
+            while path[-1] != first:
+                path.append(parents[path[-1]])
+            return Found(costs[cell], len(closed), path[::-1])
         row, column = cell
         for k, (down, right) in enumerate(MOVES):
             there = (row + down, column + right)
@@ -211,6 +216,7 @@ def guided_search(
             cost = costs[cell] + LENGTHS[k]
             if there not in closed and cost < costs.get(there, math.inf):
                 costs[there] = cost
+                parents[there] = cell
                 place = cell if is_of_moves else there
                 key = cost + _heuristic(there, last) + penalty_of[k][place[0]][place[1]]
                 pushes += 1

@@ -214,6 +214,7 @@ def compare_planners(
         OSError: a file cannot be written.
     """
     from mapdata.evaluation import evaluate, to_text
+    from mapdata.evaluation.suite import COUNTED
 
     with warnings.catch_warnings():
         for name in own:  # The line below the table says it, and how many paths were refused.
@@ -226,6 +227,9 @@ def compare_planners(
         print()
     for row in own_rows:
         print(f"{row['planner']}: {_outcome(row)}")
+    unchecked = [row.name for row in planners if row.name in own and type(row) not in COUNTED]
+    if unchecked:
+        print(f"the expansions of {', '.join(unchecked)} are what the planner states, unchecked")
     write_table(table, csv, json)
     if figure is not None:
         from mapdata.plotting import plot_planners, write_figure

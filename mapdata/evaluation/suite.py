@@ -17,7 +17,8 @@ import pandas as pd
 from mapdata.checks import check_choice
 from mapdata.evaluation.guided import CostPlanner, GuidedSearch
 from mapdata.evaluation.held_out import SHAPES, HeldOut
-from mapdata.evaluation.metrics import METRICS, Planner, evaluate, with_interval
+from mapdata.evaluation.metrics import METRICS, evaluate, with_interval
+from mapdata.evaluation.plan import Planner
 from mapdata.evaluation.planners import (
     BestFirst,
     GoalFieldAstar,

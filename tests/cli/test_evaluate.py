@@ -295,6 +295,8 @@ def test_every_planner_of_ones_own_is_a_row(
         re.MULTILINE,
     )
     assert "\ngives up: no path for 9 of 9 problems\n" in out
+    said = "the expansions of mine, cuts corners, gives up are what the planner states, unchecked"
+    assert out.splitlines()[-3] == said
     assert "nan" not in out
 
 
