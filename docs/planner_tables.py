@@ -5,6 +5,8 @@
     python docs/planner_tables.py --set dungeon-hard-1000 --add my_module:planner
     python docs/planner_tables.py --no-network              the search without a network alone, and
                                                             what the networks add to it
+    python docs/planner_tables.py --sample FILE             the sample of models/path_predictor.py
+                                                            alone, with its weights in FILE
     python docs/planner_tables.py --pages                   the tables again, measuring nothing
     python docs/planner_tables.py --transfer                small networks of one family each;
                                                             with --pages their table alone
@@ -51,7 +53,7 @@ from mapdata.evaluation import (
     classical,
 )
 from mapdata.limits import Cell
-from mapdata.models import NeuralAstar, PathPredictor, fast_precision
+from mapdata.models import MovePredictor, NeuralAstar, PathPredictor, fast_precision
 from mapdata.models.evaluate import SHIPPED, load_weights
 from mapdata.models.pretrained.mixed_batches import MixedBatches
 from mapdata.models.pretrained.path_predictor import TRAINING_FIELDS
@@ -71,6 +73,7 @@ GOAL_FIELD = "A* with the exact goal field"
 JUMP_POINTS = "jump point search"
 SEARCH = "path_predictor (search)"
 NO_NETWORK = "guided search, no network"
+SAMPLE = "sample path predictor"
 INEXACT = ("weighted", "greedy")
 """How the names of classical planners without optimal paths begin."""
 
@@ -322,6 +325,19 @@ def guided_planners(movement: Movement) -> list[Planner]:
     return [one for one in all_planners(movement) if one.name in (NO_NETWORK, SEARCH)]
 
 
+def measure_sample(
+    results: Results, path: Path, file: str, names: Sequence[str], command: str
+) -> None:
+    """Measure the sample path predictor, which moves as the sets of the first table do."""
+    model = MovePredictor.load_from_checkpoint(file, map_location="cpu").eval()
+    movement = RULES[""]
+    without = [one for one in classical(movement) if one.name == NO_NETWORK]
+    planners = [*without, GuidedSearch(SAMPLE, movement, model.predict)]
+    for name in names:
+        measure(results, name, planners, command, [SAMPLE])
+        results.write(path)
+
+
 def measure_file(
     results: Results,
     file: str,
@@ -548,6 +564,27 @@ def table_of_differences(results: Results, names: Iterable[str]) -> str:
     return markdown(rows)
 
 
+def table_of_sample(results: Results) -> str:
+    """Return the sample path predictor beside no network and the pretrained one, set by set."""
+    planners = (NO_NETWORK, SAMPLE, SEARCH)
+    heads = [
+        f"{one} {metric}"
+        for metric in ("Opt", "expansions")
+        for one in ("no network", "sample", "pretrained")
+    ]
+    rows = [["set", *heads]]
+    for name in FIRST_SETS:
+        by_planner = results.rows_of(name)
+        if {*planners} <= {*by_planner}:
+            cells = [
+                with_half_width(by_planner[planner], metric)
+                for metric in ("opt", "expansion_ratio")
+                for planner in planners
+            ]
+            rows.append([name, *cells])
+    return markdown(rows)
+
+
 def table_of_transfer(results: Results) -> str:
     """Return Hmean of networks trained on some families, on the sets of all families."""
     rows = [["trained on", *TRANSFER_SETS]]
@@ -580,6 +617,7 @@ def write_pages(results: Results, folder: Path) -> None:
     tables = {
         "summary": summary(results, [name for name in FIRST_SETS if name in results.sets]),
         "differences": table_of_differences(results, FIRST_SETS),
+        "sample": table_of_sample(results),
         "zero-shot": summary(results, windows),
         "zero-shot-differences": table_of_differences(results, windows),
     }
@@ -608,6 +646,8 @@ def measure_what_is_asked(
             measure(results, name, without, command)
     elif options.transfer:
         transfer(results, path, options.steps, command)
+    elif options.sample:
+        measure_sample(results, path, options.sample, options.sets or FIRST_SETS, command)
     elif options.file:
         only = [NO_NETWORK] if options.no_network else None
         measure_file(results, options.file, options.weights, options.baseline, command, only)
@@ -638,6 +678,7 @@ def main(arguments: list[str] | None = None) -> None:
         help="measure this planner alone; may be repeated",
     )
     parser.add_argument("--no-network", action="store_true", help="measure this row alone")
+    parser.add_argument("--sample", metavar="FILE", help="measure the sample with these weights")
     parser.add_argument("--pages", action="store_true", help="measure nothing")
     parser.add_argument("--transfer", action="store_true", help="the table of transfer")
     parser.add_argument("--steps", type=int, default=2000, help="of each of its trainings")

@@ -171,6 +171,7 @@ def evaluate_samplers(
     json: str | None = None,
     figure: str | None = None,
     weights: str | None = None,
+    sample: str | None = None,
 ) -> None:
     """Compare samplers of roadmaps on one problem per map: new maps, or the test split of datasets.
 
@@ -190,13 +191,19 @@ def evaluate_samplers(
         json: write the table to a JSON file, as a list of rows
         figure: draw success against the number of vertices to this file
         weights: folder of the trained samplers (default: the pretrained ones)
+        sample: file of weights of models/lego_sampler.py, which adds two rows
     """
-    from mapdata.roadmaps import SIZES, compare, contenders, plot_success, to_text
+    from mapdata.roadmaps import SIZES, LearnedSampler, compare, contenders, plot_success, to_text
 
     check_outputs(csv, json, figure)
     if weights is not None and not Path(weights).is_dir():
         raise ValueError(f"weights: there is no folder {weights}")
-    rows = contenders(learned_samplers(Path(weights or WEIGHTS)))
+    learned: dict[str, LearnedSampler] = dict(learned_samplers(Path(weights or WEIGHTS)))
+    if sample is not None:
+        from .lego_sampler import LegoSampler
+
+        learned["sample"] = LegoSampler.load_from_checkpoint(sample, map_location="cpu").eval()
+    rows = contenders(learned)
     if not root and maps is None and (preset is None or preset in PRESETS):
         maps = 1000
     problems = load_problems(root, preset, seed, maps, movement=Movement(8))

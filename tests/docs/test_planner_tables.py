@@ -14,8 +14,9 @@ import pytest
 from helpers.pages import DOCS
 
 from mapdata import MapGenerator, Movement, ProblemSet, evaluate
-from mapdata.evaluation import classical
+from mapdata.evaluation import GuidedSearch, classical
 from mapdata.evaluation.planners import BestFirst
+from mapdata.models import MovePredictor
 
 OWN_PLANNER = """
 from mapdata import Plan
@@ -130,6 +131,30 @@ def test_the_row_without_a_network_is_measured_alone(
     opt, expansions = difference["opt_difference"], difference["expansion_ratio_difference"]
     assert f"| {opt:+.3f} [" in page
     assert f"| {expansions:+.3f} [" in page
+
+
+def test_the_sample_is_measured_alone(
+    tables: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """With --sample no other row changes; its row is that of `evaluate`, and the page shows it."""
+    model = MovePredictor()
+    monkeypatch.setattr(MovePredictor, "load_from_checkpoint", lambda file, **_: model)
+    monkeypatch.setattr(tables, "FIRST_SETS", ["maze-hard-5"])
+    (tmp_path / "planners.md").write_text("<!-- table sample -->\nold\n<!-- end -->\n")
+    command = ["--folder", str(tmp_path), "--set", "maze-hard-5"]
+    tables.main([*command, "--sample", "moves.ckpt"])
+    assert list(rows_of(tmp_path).index) == [tables.SAMPLE]
+    movement = Movement(8)
+    problems = ProblemSet.sample("maze", 77, until_hard=5, movement=movement)
+    table = evaluate([GuidedSearch(tables.SAMPLE, movement, model.predict)], problems)
+    row = table[table.subset == "hard"].iloc[0]
+    for metric in ("opt", "expansion_ratio"):
+        assert rows_of(tmp_path)[metric][tables.SAMPLE] == pytest.approx(row[metric], abs=1e-5)
+    network = BestFirst(tables.SEARCH, movement, weight=2)
+    monkeypatch.setattr(tables, "all_planners", lambda rule: [*classical(rule), network])
+    tables.main(command)
+    page = (tmp_path / "planners.md").read_text()
+    assert "| maze-hard-5 | " in page
 
 
 QUICK_SETS = ("dungeon-hard-1000", "narrow-4-hard-300", "mazes-cut-300", "noise-4-hard-300")
