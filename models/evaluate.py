@@ -18,9 +18,9 @@ The planners include pretrained path predictors for 4-connected movement, and fo
 movement whose diagonal moves cost sqrt(2), with and without --corner-cutting. For another movement,
 name your own weights with --weights.
 
-The samplers include the pretrained ones, lego_*.pt and shortest_path_*.pt of pretrained/weights. A
-roadmap has n vertices in all. Half of them are Halton points, except in the rows halton and
-uniform, and in the rows whose names end in _alone.
+The samplers include the pretrained ones, those of pretrained/weights whose names begin with lego or
+shortest_path. A roadmap has n vertices in all. Half of them are Halton points, except in the rows
+halton and uniform, and in the rows whose names end in _alone.
 """
 
 from __future__ import annotations
@@ -227,7 +227,9 @@ def learned_samplers(folder: Path) -> dict[str, Sampler]:
     from .pretrained.lego.cvae import CVAE
     from .pretrained.lego.sampler import Heatmap
 
-    files = sorted([*folder.glob("lego_*.pt"), *folder.glob("shortest_path_*.pt")])
+    files = sorted(
+        [*folder.glob("lego_*.safetensors"), *folder.glob("shortest_path_*.safetensors")]
+    )
     return {printable(file.stem): load_model(file, Heatmap, CVAE) for file in files}
 
 

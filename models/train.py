@@ -12,13 +12,13 @@ The default arguments are in pretrained/configs/NAME.yaml. Each of them is also 
     python -m mapdata.models.train path_predictor fit --help
 
 Checkpoints and metrics.csv are written below runs/. In a checkout scripts/train_path_predictor.py
-and scripts/train_lego_sampler.py take the same arguments, without the name.
+and scripts/train_lego_sampler.py take the same arguments after --product, without the name.
 
 Path predictors
 ---------------
 A checkpoint is written after every validation and every three minutes. An interrupted run can be
-resumed from it. The progress bar shows the remaining minutes, and val_opt and val_hmean. These are
-the metrics of the tables (Opt and Hmean), for the hard validation problems of 10 cells or more.
+resumed from it. The progress bar shows val_opt and val_hmean. These are the metrics of the tables
+(Opt and Hmean), for the hard validation problems of 10 cells or more.
 These flags can follow fit:
 
     --ckpt_path FILE
@@ -55,10 +55,10 @@ The pretrained weights were made by these commands. The heat maps learned from s
     mapdata build data/loops --maps 2500 --seed 4001 \
         --recipe '{"spec": {"generator": "maze", "corridor": 2, "reopened": 0.1}}'
     ROOTS="[data/dungeon,data/narrow,data/loops,data/cave,data/forest,data/noise]"
-    $T fit --weights lego_heatmap.pt --data.build null --data.root "$ROOTS"
-    $T fit --weights shortest_path_heatmap.pt --data.build null --data.root "$ROOTS" \
+    $T fit --weights lego_heatmap.safetensors --data.build null --data.root "$ROOTS"
+    $T fit --weights shortest_path_heatmap.safetensors --data.build null --data.root "$ROOTS" \
         --model.targets shortest_path
-    $T fit --weights lego_cvae.pt --model CVAE --model.learning_rate 1e-3 \
+    $T fit --weights lego_cvae.safetensors --model CVAE --model.learning_rate 1e-3 \
         --data.build '{"seed": 4001, "maps": 6250, "spec": {"rooms": [8, 16],
             "room_rows": [6, 14], "room_columns": [6, 14], "passage_width": [1, 3]}}' \
         --data.batch_size 24 --data.fields "[map,start,goal,problem]" \

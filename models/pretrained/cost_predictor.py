@@ -117,7 +117,7 @@ class CostPredictor(Model):
             means nothing. The numbers should be of the order of 1.
     """
 
-    PRETRAINED: ClassVar[Mapping[str, str]] = {"tiles": "cost_predictor.pt"}
+    PRETRAINED: ClassVar[Mapping[str, str]] = {"tiles": "cost_predictor.safetensors"}
 
     optimizer_class = staticmethod(partial(torch.optim.Adam, betas=BETAS))
 

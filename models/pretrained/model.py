@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import io
+import hashlib
+import json
 import math
-import time
 import zipfile
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
@@ -15,6 +15,8 @@ from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 import pytorch_lightning as pl
+import safetensors
+import safetensors.torch
 import torch
 from lightning_fabric.utilities.exceptions import MisconfigurationException
 from numpy.typing import ArrayLike
@@ -102,9 +104,6 @@ class Model(pl.LightningModule, ABC):
         self.log_dict({f"train_{name}": loss for name, loss in losses.items()}, prog_bar=True)
         return losses["loss"]
 
-    # The number of the first step of this process, and the time at its end.
-    _first_step: tuple[int, float] | None = None
-
     def on_train_start(self) -> None:
         """Compare the schedule with the training, and log at least once an epoch.
 
@@ -128,22 +127,6 @@ class Model(pl.LightningModule, ABC):
         epoch_steps = trainer.num_training_batches // trainer.accumulate_grad_batches
         if 0 < epoch_steps < trainer.log_every_n_steps:
             trainer.log_every_n_steps = int(epoch_steps)
-        self._first_step = None
-
-    def on_train_batch_end(self, outputs: Any, batch: Any, batch_idx: int) -> None:
-        """Log ``minutes_left`` of the whole training for the progress bar, which counts an epoch.
-
-        It is measured from the end of the first step, before which kernels may be compiled.
-        """
-        now = time.monotonic()
-        step = self.trainer.global_step
-        if self._first_step is None:
-            self._first_step = (step, now)
-        first_step, began = self._first_step
-        steps_left = self.trainer.estimated_stepping_batches - step
-        if step > first_step and math.isfinite(steps_left):
-            minutes = (now - began) / (step - first_step) * steps_left / 60
-            self.log("minutes_left", round(minutes, 1), prog_bar=True, logger=False)
 
     def configure_optimizers(self) -> Any:
         """Return an ``optimizer_class`` and torch's OneCycleLR."""
@@ -172,7 +155,7 @@ class Model(pl.LightningModule, ABC):
             self.train(was_training)
 
     def save(self, file: str | PathLike[str]) -> None:
-        """Write class, arguments and weights, as plain types and float16 tensors: half the size.
+        """Write class, arguments and weights as a file of safetensors, in float16: half the size.
 
         A file of that name is replaced as a whole, or stays as it is where writing fails.
 
@@ -181,21 +164,18 @@ class Model(pl.LightningModule, ABC):
                 diverged.
             OSError: the disk is full or may not be written to.
         """
-        arguments = {}
-        for name, argument in self.hparams.items():
-            if name.startswith("_"):
-                continue  # LightningCLI adds "_instantiator", which is no argument of the class
-            # A file has lists, like the configuration files of the command line, and no tuples.
-            arguments[name] = list(argument) if isinstance(argument, tuple) else argument
+        # LightningCLI adds "_instantiator", which is no argument of the class.
+        arguments = {
+            name: value for name, value in self.hparams.items() if not name.startswith("_")
+        }
         weights = {
             name: weight.to("cpu", torch.float16).contiguous()
             for name, weight in self.state_dict().items()
         }
         _check_weights(weights)
-        checkpoint = {"class": type(self).__name__, "arguments": arguments, "weights": weights}
-        buffer = io.BytesIO()
-        torch.save(checkpoint, buffer)
-        write_output(file, buffer.getvalue())
+        description = {"class": type(self).__name__, "arguments": json.dumps(arguments)}
+        description["sha256"] = _digest(description, weights)
+        write_output(file, safetensors.torch.save(weights, description))
 
     @classmethod
     def pretrained(cls: type[P], name: str | None = None) -> P:
@@ -230,23 +210,32 @@ class Model(pl.LightningModule, ABC):
 def load_model(file: str | PathLike[str], *classes: type[M]) -> M:
     """Return the model of one of ``classes`` that `Model.save` wrote, in evaluation mode.
 
-    No code in the file is run, and no more memory is taken than the file is long.
+    A file of safetensors holds no code, and takes no more memory than it is long.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file holds no such model, is damaged, holds code, holds weights that are
-            not finite real numbers, or says that it unpacks to more than its size; the message is
-            one line and names the file.
+        ValueError: the file holds no such model, is damaged, was written before version 0.4.0, or
+            holds weights that are not finite real numbers; the message is one line and names the
+            file.
     """
     path = Path(file)
     if not path.exists():
         raise FileNotFoundError(f"{file}: no such file")
+    if zipfile.is_zipfile(path):
+        raise ValueError(
+            f"{file}: holds no file of safetensors, but an archive, such as versions before 0.4.0 "
+            "wrote; docs/pretrained.md (Files of earlier versions) converts it"
+        )
     classes_by_name = {model_class.__name__: model_class for model_class in classes}
     try:
-        checkpoint = _read_checkpoint(path)
-        model_class = classes_by_name[checkpoint["class"]]
-        arguments = checkpoint["arguments"]
-        weights = checkpoint["weights"]
+        with safetensors.safe_open(path, "pt") as opened:
+            description = opened.metadata() or {}
+            weights = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
+        model_class = classes_by_name[description["class"]]
+        # safetensors has no checksum: a flipped bit would be another weight.
+        if description.pop("sha256") != _digest(description, weights):
+            raise ValueError("damaged: its hash does not fit")
+        arguments = json.loads(description["arguments"])
         _check_arguments(arguments)
         with torch.device("meta"):  # a model without memory, which has names and shapes alone
             expected = model_class(**arguments).state_dict()
@@ -256,7 +245,7 @@ def load_model(file: str | PathLike[str], *classes: type[M]) -> M:
         model = model_class(**arguments)
         model.load_state_dict(weights)
     except Exception as error:
-        # Which errors torch's reader and the constructor of a model raise is not documented.
+        # Which errors safetensors and the constructor of a model raise is not documented.
         reason = str(error).strip().split("\n")[0]
         raise ValueError(
             f"{file}: holds no saved {' or '.join(classes_by_name)} "
@@ -265,29 +254,14 @@ def load_model(file: str | PathLike[str], *classes: type[M]) -> M:
     return model.eval()
 
 
-def _read_checkpoint(path: Path) -> dict[str, Any]:
-    """Return class, arguments and weights in a file.
-
-    ``weights_only`` runs no code from the file, but it neither compares the checksums of the zip
-    archive nor limits what the file unpacks to.
-    """
-    size = path.stat().st_size
-    with zipfile.ZipFile(path) as archive:
-        entries = archive.infolist()
-        unpacked = sum(entry.file_size for entry in entries)
-        if unpacked > size:
-            raise ValueError(f"it unpacks to {unpacked} bytes, expected at most its own {size}")
-        if archive.testzip() is not None:
-            raise ValueError("damaged: its checksums do not fit")
-        # An attribute can mark an entry as a folder. torch reads no bytes of such an entry, and
-        # takes for its weights what the memory happens to hold.
-        if any(entry.external_attr != 0 for entry in entries):
-            raise ValueError("damaged: its entries have attributes")
-    checkpoint: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-    # A view such as torch.zeros(1).expand(10**12) is small in the file and large once copied.
-    if sum(weight.nbytes for weight in checkpoint["weights"].values()) > size:
-        raise ValueError("its weights are larger than the file")
-    return checkpoint
+def _digest(description: Mapping[str, str], weights: Mapping[str, Tensor]) -> str:
+    """Return the hash of class, arguments and weights."""
+    digest = hashlib.sha256(description["class"].encode())
+    digest.update(description["arguments"].encode())
+    for name in sorted(weights):
+        digest.update(name.encode())
+        digest.update(weights[name].flatten().view(torch.uint8).numpy().tobytes())
+    return digest.hexdigest()
 
 
 def _check_arguments(arguments: dict[str, Any]) -> None:

@@ -222,9 +222,9 @@ class PathPredictor(LearnedPlanner):
     """
 
     PRETRAINED: ClassVar[Mapping[str, str]] = {
-        "eight": "path_predictor.pt",  # 8 moves, no corner is cut
-        "cut": "path_predictor_cut.pt",  # 8 moves, which may cut corners
-        "four": "path_predictor_4.pt",  # 4 moves
+        "eight": "path_predictor.safetensors",  # 8 moves, no corner is cut
+        "cut": "path_predictor_cut.safetensors",  # 8 moves, which may cut corners
+        "four": "path_predictor_4.safetensors",  # 4 moves
     }
 
     def __init__(

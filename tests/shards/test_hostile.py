@@ -23,11 +23,12 @@ import pytest
 import torch
 from helpers import hostile, run_helper, wild
 from helpers.builds import SOUND_SEED, SOUND_SPEC
+from safetensors.torch import load, save
 from torch import nn
 
 from mapdata import Movement, Terrain, build
 from mapdata.limits import SPLITS
-from mapdata.models.pretrained.model import load_model
+from mapdata.models.pretrained.model import _digest, load_model
 from mapdata.models.pretrained.path_predictor import PathPredictor
 from mapdata.shards import MANIFEST, read_manifest
 
@@ -286,61 +287,57 @@ class Bomb:
         return os.mkdir, (self.folder,)
 
 
-def packed(source: bytes) -> bytes:
-    """Return a checkpoint whose parts are compressed, which torch reads too."""
-    out = io.BytesIO()
-    with (
-        zipfile.ZipFile(io.BytesIO(source)) as old,
-        zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as new,
-    ):
-        for info in old.infolist():
-            new.writestr(info.filename, old.read(info))
-    return out.getvalue()
+def with_weights(
+    arguments: dict[str, object] | list[int], weights: dict[str, torch.Tensor], **others: str
+) -> bytes:
+    """Return a file of weights, whose hash fits."""
+    description = {"class": "PathPredictor", "arguments": json.dumps(arguments), **others}
+    description["sha256"] = _digest(description, weights)
+    return save(weights, description)
 
 
-def saved(value: object) -> bytes:
-    """Return what torch.save writes."""
-    out = io.BytesIO()
-    torch.save(value, out)
-    return out.getvalue()
+def with_header(header: dict[str, object], length: int | None = None) -> bytes:
+    """Return a file of safetensors with this header, which may be called longer than it is."""
+    text = json.dumps(header).encode()
+    return struct.pack("<Q", len(text) if length is None else length) + text + bytes(64)
 
 
 def model_cases(folder: Path, _: Path) -> Iterator[Case]:
-    """Write checkpoints that run code, unpack to much, or describe a model that no memory holds."""
+    """Write files of weights that hold code or describe a model that no memory holds."""
     model = PathPredictor(4, widths=(8, 8, 8), passes=1)
-    model.save(folder / "sound.pt")
-    sound = torch.load(folder / "sound.pt", weights_only=True)
-    plain = sound["arguments"]
-    weights = sound["weights"]
+    model.save(folder / "sound.safetensors")
+    sound = (folder / "sound.safetensors").read_bytes()
+    weights = load(sound)
+    plain: dict[str, object] = {**model.hparams, "widths": [8, 8, 8]}
     first = next(iter(weights))
+    code = io.BytesIO()
+    torch.save({"arguments": Bomb(folder / "hacked"), "weights": {}}, code)
     tar = io.BytesIO()
     tarfile.open(fileobj=tar, mode="w").close()
+    huge = {"dtype": "F16", "shape": [10**12], "data_offsets": [0, 2 * 10**12]}
+    stretched = {"dtype": "F16", "shape": [10**12], "data_offsets": [0, 64]}
     files = {
         "pickle": pickle.dumps(Bomb(folder / "hacked")),
-        "code": saved({"arguments": Bomb(folder / "hacked"), "weights": {}}),
-        "old-form": io.BytesIO(pickle.dumps(Bomb(folder / "hacked"))).getvalue() * 3,
+        "code": code.getvalue(),
+        "old-form": pickle.dumps(Bomb(folder / "hacked")) * 3,
         "tar": tar.getvalue(),
         "text": b"weights\n",
         "empty": b"",
-        "cut": (folder / "sound.pt").read_bytes()[:-100],
-        "a-list": saved([1, 2]),
-        "no-weights": saved({"arguments": plain}),
-        "zeros": packed(saved({"arguments": plain, "weights": {first: torch.zeros(2**26)}})),
-        "stretched": saved(
-            {"arguments": plain, "weights": {**weights, first: torch.zeros(1).expand(10**12)}}
-        ),
-        "wide": saved(
-            {"arguments": {**plain, "widths": [10**6, 10**6, 10**6]}, "weights": weights}
-        ),
-        "deep": saved({"arguments": {**plain, "passes": 10**12}, "weights": weights}),
-        "infinite": saved({"arguments": {**plain, "passes": float("inf")}, "weights": weights}),
-        "other-arguments": saved({"arguments": {"speed": 3}, "weights": weights}),
-        "other-weights": saved({"arguments": plain, "weights": {"a": torch.zeros(3)}}),
-        "no-tensors": saved({"arguments": plain, "weights": {first: 3}}),
+        "cut": sound[:-100],
+        "no-description": save(weights),
+        "a-list": with_weights([1, 2], weights),
+        "long-header": with_header({}, length=2**62),
+        "huge": with_header({first: huge}),
+        "stretched": with_header({first: stretched}),
+        "wide": with_weights({**plain, "widths": [10**6, 10**6, 10**6]}, weights),
+        "deep": with_weights({**plain, "passes": 10**12}, weights),
+        "infinite": with_weights({**plain, "passes": float("inf")}, weights),
+        "other-arguments": with_weights({"speed": 3}, weights),
+        "other-weights": with_weights(plain, {"a": torch.zeros(3)}),
     }
     for name, data in files.items():
-        (folder / f"{name}.pt").write_bytes(data)
-        yield "model", folder / f"{name}.pt", "ValueError"
+        (folder / f"{name}.safetensors").write_bytes(data)
+        yield "model", folder / f"{name}.safetensors", "ValueError"
 
 
 # --- the tests ----------------------------------------------------------------------------------

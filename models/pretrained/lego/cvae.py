@@ -91,7 +91,7 @@ class CVAE(Sampler):
 
     optimizer_class = torch.optim.Adam  # the published optimizer
 
-    PRETRAINED: ClassVar[Mapping[str, str]] = {"lego": "lego_cvae.pt"}
+    PRETRAINED: ClassVar[Mapping[str, str]] = {"lego": "lego_cvae.safetensors"}
 
     def __init__(
         self,

@@ -268,8 +268,8 @@ class Heatmap(Sampler):
     """
 
     PRETRAINED: ClassVar[Mapping[str, str]] = {
-        "lego": "lego_heatmap.pt",  # targets are the bottlenecks of paths
-        "shortest_path": "shortest_path_heatmap.pt",  # targets are the points of paths
+        "lego": "lego_heatmap.safetensors",  # targets are the bottlenecks of paths
+        "shortest_path": "shortest_path_heatmap.safetensors",  # targets are the points of paths
     }
 
     def __init__(

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import resource
-import zipfile
+import textwrap
 from pathlib import Path
 
 import pytest
+import torch
+from helpers.pages import DOCS
 from helpers.training import trainer
 
 from mapdata import MapDataModule, Movement
@@ -16,17 +19,49 @@ from mapdata.models.pretrained.path_predictor import PathPredictor
 
 
 def test_a_flipped_bit_of_weights_is_refused(tmp_path: Path) -> None:
-    """The checksums of the archive tell; torch does not compare them."""
-    file = tmp_path / "weights.pt"
+    """The hash in the file tells; safetensors itself has no checksum."""
+    file = tmp_path / "weights.safetensors"
     PathPredictor(widths=(8, 8, 8), passes=1).save(file)
     sound = file.read_bytes()
     load_model(file, PathPredictor)
-    for position in range(len(sound) // 4, len(sound) // 2, len(sound) // 40):
+    for position in range(len(sound) // 4, len(sound), len(sound) // 20):
         flipped = bytearray(sound)
         flipped[position] ^= 64
         file.write_bytes(flipped)
-        with pytest.raises(ValueError, match=r"weights\.pt: holds no saved PathPredictor"):
+        with pytest.raises(ValueError, match=r"holds no saved PathPredictor .*hash does not fit"):
             load_model(file, PathPredictor)
+
+
+def test_other_arguments_do_not_fit_the_hash(tmp_path: Path) -> None:
+    """So that a flipped bit in a number of the header is found, too."""
+    file = tmp_path / "weights.safetensors"
+    PathPredictor(widths=(8, 8, 8), passes=1, ratio_weight=5.0).save(file)
+    sound = file.read_bytes()
+    changed = sound.replace(b'\\"ratio_weight\\": 5.0', b'\\"ratio_weight\\": 4.0')
+    assert changed != sound
+    file.write_bytes(changed)
+    with pytest.raises(ValueError, match="its hash does not fit"):
+        load_model(file, PathPredictor)
+
+
+def test_a_file_of_an_earlier_version_is_refused_with_the_way_to_convert_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The page has it, and it gives the same weights."""
+    model = PathPredictor(widths=(8, 8, 8), passes=1)
+    weights = {name: weight.half() for name, weight in model.state_dict().items()}
+    arguments = {**model.hparams, "widths": [8, 8, 8]}
+    checkpoint = {"class": "PathPredictor", "arguments": arguments, "weights": weights}
+    torch.save(checkpoint, tmp_path / "old.pt")
+    with pytest.raises(ValueError, match=r"old\.pt: .*before 0\.4\.0 .*docs/pretrained\.md"):
+        load_model(tmp_path / "old.pt", PathPredictor)
+    page = (DOCS / "pretrained.md").read_text(encoding="utf-8")
+    (lines,) = re.findall(r"## Files of earlier versions\n.*?\n\n((?: {4}.*\n)+)", page, re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    exec(textwrap.dedent(lines))
+    converted = load_model(tmp_path / "new.safetensors", PathPredictor)
+    for name, weight in weights.items():
+        assert torch.equal(converted.state_dict()[name].half(), weight)
 
 
 @pytest.mark.filterwarnings("ignore:.*does not have many workers which may be a bottleneck")
@@ -42,23 +77,6 @@ def test_a_model_is_not_trained_on_another_movement_than_its_own() -> None:
             one_step.fit(model, data)
     model = PathPredictor(connectivity=4, widths=(8, 8, 8), passes=1)
     one_step.fit(model, MapDataModule(None, build="maze15", problems="random"))
-
-
-def test_an_entry_marked_as_a_folder_is_refused(tmp_path: Path) -> None:
-    """One bit of the archive's directory says so; torch then skips the bytes of the entry, and
-    serves whatever its memory holds as weights.
-    """
-    file = tmp_path / "weights.pt"
-    PathPredictor(widths=(8, 8, 8), passes=1).save(file)
-    marked = bytearray(file.read_bytes())
-    # The directory is at the end of the archive; its record of the first weights:
-    record = marked.rindex(b"PK\x01\x02", 0, marked.rindex(b"/data/0"))
-    marked[record + 38] ^= 0x10  # the attribute of MS-DOS for a folder
-    file.write_bytes(marked)
-    with zipfile.ZipFile(file) as archive:
-        assert archive.testzip() is None
-    with pytest.raises(ValueError, match=r"weights\.pt: holds no saved .*entries have attributes"):
-        load_model(file, PathPredictor)
 
 
 def test_saving_replaces_the_whole_file_or_nothing(

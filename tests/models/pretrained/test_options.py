@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import safetensors
+import safetensors.torch
 import torch
 
 from mapdata.models import (
@@ -20,6 +22,7 @@ from mapdata.models import (
     PathPredictor,
     load_model,
 )
+from mapdata.models.pretrained.model import _digest
 
 MODELS: tuple[type[Model], ...] = (CostPredictor, PathPredictor, NeuralAstar, Heatmap, CVAE)
 SMALL: dict[type[Model], dict[str, Any]] = {
@@ -91,11 +94,14 @@ def test_weights_that_are_no_finite_real_numbers_are_refused(
     """The message names the file, and the first tensor that holds one."""
     file = tmp_path / "weights.pt"
     model_class(**SMALL[model_class]).save(file)
-    checkpoint = torch.load(file, weights_only=True)
-    *_, name = checkpoint["weights"]
+    with safetensors.safe_open(file, "pt") as opened:
+        description = opened.metadata()
+    weights = safetensors.torch.load_file(file)
+    *_, name = weights
     function, message = CHANGES[change]
-    checkpoint["weights"][name] = function(checkpoint["weights"][name])
-    torch.save(checkpoint, file)
+    weights[name] = function(weights[name])
+    description["sha256"] = _digest(description, weights)
+    safetensors.torch.save_file(weights, file, description)
     with pytest.raises(ValueError, match=rf"weights\.pt: holds no saved .*{name}: {message}"):
         load_model(file, model_class)
 

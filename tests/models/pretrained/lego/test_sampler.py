@@ -20,6 +20,7 @@ import pandas as pd
 import pytest
 import pytorch_lightning as pl
 import torch
+from safetensors.torch import save_file
 from scipy.sparse.csgraph import dijkstra
 
 from mapdata import MapDataModule, MapSpec, Movement, ProblemSet, inflate
@@ -46,7 +47,9 @@ from mapdata.roadmaps import (
 )
 
 ROOT = Path(__file__).parents[4]
-SHIPPED = sorted([*WEIGHTS.glob("lego_*.pt"), *WEIGHTS.glob("shortest_path_*.pt")])
+SHIPPED = sorted(
+    [*WEIGHTS.glob("lego_*.safetensors"), *WEIGHTS.glob("shortest_path_*.safetensors")]
+)
 DUNGEON = MapSpec.preset("dungeon")
 Points: TypeAlias = npt.NDArray[np.float64]
 QUICK = Mining(dense=400, sizes=(24,))
@@ -566,9 +569,9 @@ def test_a_small_model_learns_and_is_saved(model_class: type[Sampler], tmp_path:
 
 
 def test_other_weights_are_refused(tmp_path: Path) -> None:
-    """A file of torch that holds no sampler is refused, with the names of the expected classes."""
-    file = tmp_path / "other.pt"
-    torch.save({"weights": {}}, file)
+    """A file that holds no sampler is refused, with the names of the expected classes."""
+    file = tmp_path / "other.safetensors"
+    save_file({"weights": torch.zeros(3)}, file)
     with pytest.raises(ValueError, match="holds no saved Heatmap or CVAE"):
         load(file)
 
@@ -658,7 +661,7 @@ def main(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[str], Mai
 @pytest.mark.slow
 def test_evaluate_script(main: Callable[[str], Main], tmp_path: Path) -> None:
     """It writes the table as JSON and as CSV, with equal rows, and the figure."""
-    small_model(Heatmap).save(tmp_path / "lego_heatmap.pt")
+    small_model(Heatmap).save(tmp_path / "lego_heatmap.safetensors")
     script = main("evaluate_sampler.py")
     short_run = "--preset dungeon --maps 6 --seed 5 --sizes 24 --weights ."
     outputs = "--json rows.json --csv rows.csv --figure success.png"
