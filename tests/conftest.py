@@ -1,13 +1,16 @@
-"""What holds for every test: one thread of torch, in subprocesses too, and no judgement by the
-clock.
+"""What holds for every test: one thread of torch, in subprocesses too, no judgement by the clock,
+and kernels that one of two processes compiles for both.
 """
 
 from __future__ import annotations
 
 import os
+import sys
 
 import pytest
-from helpers.examples import ARE_ALL
+from helpers.cpu_times import CpuTimes
+from helpers.examples import ARE_ALL, Some, some
+from helpers.selection import mark_further_combinations
 from hypothesis import HealthCheck, settings
 
 # Read when torch and BLAS are first imported: many threads on few cores make tiny networks a
@@ -27,10 +30,41 @@ settings.register_profile(
 settings.load_profile("mapdata")
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that prints what tests cost."""
+    parser.addoption("--cpu", type=int, metavar="N", help="print the CPU seconds of the N dearest")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Measure CPU seconds, if they are asked for, and share kernels with the rest of the run."""
+    if count := config.getoption("--cpu"):
+        config.pluginmanager.register(CpuTimes(count))
+    is_one_of_several = "PYTEST_XDIST_WORKER" in os.environ
+    if is_one_of_several and config.cache and sys.platform != "win32":  # which has no such locks
+        from helpers.kernels import share_compiling
+
+        share_compiling(config.cache.mkdir("kernels"))
+
+
 @pytest.hookimpl(tryfirst=True)  # before pytest chooses the tests by their marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark property tests as slow where they try all examples."""
-    for item in items:
-        function = getattr(item, "obj", None)
-        if ARE_ALL and getattr(function, "is_hypothesis_test", False):
-            item.add_marker("slow")
+    """Mark as slow what the default run leaves out: tests with all their examples, and combinations
+    of parameters whose values other cases have.
+    """
+    if ARE_ALL:
+        for item in items:
+            if tries_examples(item):
+                item.add_marker("slow")
+    mark_further_combinations(items)
+
+
+def tries_examples(item: pytest.Item) -> bool:
+    """Return whether a test tries more examples in `.ci/run` than by default."""
+    is_property = getattr(getattr(item, "obj", None), "is_hypothesis_test", False)
+    return is_property or "some" in getattr(item, "fixturenames", ())
+
+
+@pytest.fixture(scope="session", name="some")
+def _some() -> Some:
+    """Give the function that says how many of its examples a test tries."""
+    return some

@@ -199,6 +199,7 @@ def test_a_build(empty: Path, tmp_path: Path) -> None:
     assert let_each_call_fail(tmp_path, empty, BUILD) == WRITES | {"mkdir"}
 
 
+@pytest.mark.slow
 def test_an_extension(built: Path, tmp_path: Path) -> None:
     """The old partial shard stays until the longer one has replaced it."""
     assert let_each_call_fail(tmp_path, built, EXTEND) >= WRITES
@@ -218,6 +219,7 @@ def test_a_picture(built: Path, tmp_path: Path) -> None:
     assert let_each_call_fail(tmp_path, built, show) == WRITES
 
 
+@pytest.mark.slow
 def test_saved_files(built: Path, tmp_path: Path) -> None:
     """Problem sets, weights and tables: the old file stays until the new one is whole."""
     problems = ProblemSet(
@@ -234,6 +236,7 @@ def test_saved_files(built: Path, tmp_path: Path) -> None:
     assert let_each_call_fail(tmp_path, built, call(save)) == WRITES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "action",
     [

@@ -206,6 +206,7 @@ def test_pages_come_in_by_the_face() -> None:
             assert one.inside() is None, f"{name}: {one}"
 
 
+@pytest.mark.slow
 def test_no_test_imports_another() -> None:
     """What they share is in tests/helpers."""
     for file in python_files("tests"):
@@ -255,6 +256,7 @@ def conditional_tests(source: str) -> list[str]:
     ]
 
 
+@pytest.mark.slow
 def test_no_test_checks_only_below_an_if() -> None:
     """Where the condition does not hold, such a test passes and has seen nothing."""
     for file in python_files("tests"):

@@ -23,7 +23,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from helpers.builds import MAPS, SEED, SIZE, SPEC, make, shard_name, stamps, unprivileged_folder
-from helpers.families import forget, write_module
+from helpers.examples import slow
+from helpers.families import KNOWN, forget, write_module
 
 import mapdata
 from mapdata import MapDataset, MapSpec, Maze, Movement, ProblemSet, Random, build, read_shard
@@ -350,7 +351,7 @@ def test_verify_names_every_damaged_file(run: Command, copied: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("index", [0, 3, 4, MAPS - 1])
+@pytest.mark.parametrize("index", [slow(0), 3, slow(4), slow(MAPS - 1)])
 def test_show_writes_a_picture(index: int, run: Command, dataset: Path, tmp_path: Path) -> None:
     """The picture is a PNG of the map that ``--index`` names."""
     outcome = run("show", dataset, "--index", index, "-o", tmp_path / "map.png")
@@ -361,8 +362,7 @@ def test_show_writes_a_picture(index: int, run: Command, dataset: Path, tmp_path
 
 @pytest.mark.parametrize(
     "arguments",
-    [["report", "-o"], ["info", "--card"], ["show", "--figure", "gallery", "-o"]],
-    ids=["report", "card", "figure"],
+    [slow(["report", "-o"]), ["info", "--card"], slow(["show", "--figure", "gallery", "-o"])],
 )
 def test_verbs_that_read_all_maps_show_a_bar(
     arguments: list[str], run: Command, dataset: Path, tmp_path: Path
@@ -806,7 +806,7 @@ def test_a_recipe_of_an_unfinished_dataset_is_true(
         ("unknown flag --shard-sise; did you mean --shard-size?", ["--shard-sise", "3"]),
         ("unknown flag --preste; did you mean --preset?", ["--preste=narrow"]),
         ("unknown flag --see; did you mean --seed?", ["--see", "3"]),
-        ("forest, noise, noise30, terrain, tiles; did you mean dungeon?", ["--preset", "dungoen"]),
+        (f"{', '.join(PRESETS)}; did you mean dungeon?", ["--preset", "dungoen"]),
     ],
 )
 def test_bad_flags_of_build_are_refused_in_one_line(
@@ -856,9 +856,7 @@ def test_bad_flags_of_build_are_refused_in_one_line(
         ("movement: unknown key: wings", {"movement": {"wings": 2}}),
         (
             "generator: the family 'mazes' is not known here; import its module (--import MODULE "
-            "in a command, import MODULE in Python); known are rooms, maze, cave, forest, "
-            "random_walls, terrain; "
-            "did you mean maze?",
+            f"in a command, import MODULE in Python); known are {KNOWN}; did you mean maze?",
             {"generator": "mazes"},
         ),
         pytest.param(

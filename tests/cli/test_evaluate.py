@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from helpers.examples import slow
 
 from mapdata import MapSpec, Movement, ProblemSet, Random, build, evaluate
 from mapdata.cli import main
@@ -159,7 +160,7 @@ def short(movement: Movement, terrain: bool = False) -> list[str]:
     return [name for name in names if name in SHORT_TABLE]
 
 
-@pytest.mark.parametrize("name", ["Mine", "make", "instance"])
+@pytest.mark.parametrize("name", ["Mine", slow("make"), slow("instance")])
 def test_a_planner_of_ones_own_is_a_row(
     module: str, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -177,6 +178,7 @@ def test_a_planner_of_ones_own_is_a_row(
     assert re.search(r"^ *mine 1\.000", out, re.MULTILINE)
 
 
+@pytest.mark.slow
 def test_a_file_a_dataset_and_a_preset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Each gives the table of its problems."""
     preset = ProblemSet.sample("dungeon", 77, 12, movement=Movement(8))
@@ -337,11 +339,9 @@ def test_the_progress_bar_begins_after_the_first_call_of_each_planner(
 
 
 def test_the_figure_is_written(module: str) -> None:
-    """A PNG file, of the hard problems, with the names of one's own planners."""
+    """A picture of the hard problems, with the names of one's own planners."""
     flags = ["--planner", f"{module}:Mine", "--planner", f"{module}:GivesUp"]
-    main(["evaluate", "dungeon", "--maps", "12", "--figure", "planners.png"])
-    assert Path("planners.png").read_bytes().startswith(b"\x89PNG")
-    main(["evaluate", "dungeon", "--maps", "12", *flags, "--figure", "planners.svg"])
+    main(["evaluate", "dungeon", "--maps", "4", *flags, "--figure", "planners.svg"])
     words = re.findall("<!-- (.*) -->", Path("planners.svg").read_text())
     assert "mine" in words
     assert "not shown: gives up (solved none)" in words

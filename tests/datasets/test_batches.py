@@ -203,6 +203,7 @@ def replacing(root: Path, *versions: Path) -> Iterator[Iterator[int]]:
         child.wait()
 
 
+@pytest.mark.slow
 def test_shards_replaced_by_the_same_maps_disturb_nobody(tmp_path: Path) -> None:
     """Repaired, or written by another version: each reading of all, by a reader old or new, is
     right.

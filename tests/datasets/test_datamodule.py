@@ -26,6 +26,7 @@ import pytorch_lightning as pl
 import torch
 import yaml
 from helpers import ranks, reference, run_helper, samples
+from helpers.examples import slow
 from helpers.figures import assert_lines, drawn, figure_of
 from helpers.training import FIELDS, Model, Seen, module, trainer
 from pytorch_lightning.callbacks import ModelCheckpoint
@@ -375,7 +376,7 @@ def two_epochs(root: str) -> list[Sample]:
 
 @pytest.mark.parametrize(
     "order",
-    [pytest.param(name, marks=pytest.mark.slow if name == "spawn" else ()) for name in ORDERS],
+    [slow(name) if name != "persistent-3" else name for name in ORDERS],
 )
 def test_workers_change_neither_order_nor_samples(
     root: str, two_epochs: list[Sample], order: str
@@ -524,7 +525,7 @@ RESUMED: dict[str, tuple[dict[str, Any], dict[str, Any], int]] = {
 """Arguments of the data module, of model and Trainer, and the step that is gone on from."""
 
 
-QUICK_RESUMED = ("plain", "random", "workers", "second-epoch", "limit", "drop-last")
+QUICK_RESUMED = ("random", "workers", "second-epoch")
 """Cases that README's test command tries; the others are slow."""
 
 
@@ -775,7 +776,8 @@ def _is_within_an_epoch(seen: list[Seen], done: int) -> bool:
 
 
 @pytest.mark.parametrize(
-    "problems", [Route(unsolvable=True), Pairs(), Random((3, None), (None, 2)), "random"]
+    "problems",
+    [Route(unsolvable=True), slow(Pairs()), Random((3, None), (None, 2)), slow("random")],
 )
 def test_checkpoints_load_with_torchs_safe_default(
     root: str, tmp_path: Path, problems: str | Source

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from helpers import reference, samples
+from helpers.examples import Some, slow
 from helpers.grids import squared_half_cells
 from helpers.reference import Cell
 from helpers.specs import MOVEMENTS
@@ -234,6 +235,7 @@ QUICK_CASES = (CASES[1], CASES[3], CASES[-1])
     ],
 )
 def test_stored_problems_are_solved_anew(
+    some: Some,
     roots: dict[str, str],
     case: tuple[str, str, str, Movement | None],
     problems: type[Route | Pairs],
@@ -263,7 +265,7 @@ def test_stored_problems_are_solved_anew(
             no_room += bool(one.map[0][start] or one.map[0][goal])
         assert 5 < len(solvable) < len(every)
         assert 5 < no_room < len(every) - len(solvable)
-    for k in range(0, len(every), len(every) // 24):
+    for k in range(0, len(every), len(every) // some(24)):
         for attribute in ("start", "goal", "seed_points"):
             assert getattr(every[k], attribute).equal(getattr(plain[k], attribute))
         grid = inflated(name, number_of(plain[k], name), radius)
@@ -362,7 +364,7 @@ def test_online_pairs_are_the_first_that_fit(problems: Route | Pairs, search: st
         assert 5 < served < MAPS
 
 
-@pytest.mark.parametrize("problems", ["route", "pairs", "random"])
+@pytest.mark.parametrize("problems", [slow("route"), "pairs", slow("random")])
 def test_workers_and_modules_serve_the_same(many: str, problems: str) -> None:
     """By workers, after pickling, filtered, by a data module, on disk and online."""
     how: dict[str, Any] = {"problems": problems, "radius": 0.1, "fields": INFLATED_FIELDS}

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 import torch
 from helpers import samples
+from helpers.examples import slow
 from torch.utils.data import (
     BatchSampler,
     ConcatDataset,
@@ -43,7 +44,7 @@ def test_a_field_that_was_not_asked_for(root: str) -> None:
     assert not hasattr(sample, "keys")  # as torch asks
 
 
-@pytest.fixture(params=["disk", "random", "online", "fixed"])
+@pytest.fixture(params=[slow("disk"), "random", "online", slow("fixed")])
 def dataset(request: pytest.FixtureRequest, root: str) -> MapDataset | OnlineMapDataset:
     """Datasets of all kinds, with every field."""
     if request.param == "online":

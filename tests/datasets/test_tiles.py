@@ -15,6 +15,7 @@ import numpy.typing as npt
 import pytest
 import torch
 from helpers import samples
+from helpers.examples import slow
 from helpers.reference_tiles import (
     reference_jittered,
     reference_key,
@@ -93,7 +94,12 @@ def transformed(array: Any, code: int) -> Any:
 
 @pytest.mark.parametrize(
     ("pixels", "alike", "noise", "seed"),
-    [(8, False, 0, 0), (8, True, 13, 7), (5, False, 64, 2**63 + 5), (11, True, 1, 2**64 - 1)],
+    [
+        slow(8, False, 0, 0),
+        slow(8, True, 13, 7),
+        (5, False, 64, 2**63 + 5),
+        slow(11, True, 1, 2**64 - 1),
+    ],
 )
 def test_pictures_equal_the_reference(pixels: int, alike: bool, noise: int, seed: int) -> None:
     """Each pixel, for all 11 patterns in the lowest digit and some in the others."""
@@ -118,6 +124,7 @@ def test_the_key_of_a_picture_is_a_hash_of_the_map() -> None:
     assert map_keys(terrain[:0]).shape == (0,)
 
 
+@pytest.mark.slow
 def test_all_costs_can_be_drawn() -> None:
     """The bank grows from some costs to all 256, whose textures equal the reference."""
     terrain = np.arange(256, dtype=np.uint8).reshape(1, 16, 16)
@@ -215,6 +222,7 @@ def test_no_two_textures_of_a_map_are_equal() -> None:
         assert len(np.unique(textures, axis=0)) == len(TILES_COSTS) * TEXTURES
 
 
+@pytest.mark.slow
 def test_every_cost_has_a_colour_of_its_own() -> None:
     """Unless all costs look alike, mean colours are at least 8 grey levels apart."""
     means = np.array(
@@ -225,6 +233,7 @@ def test_every_cost_has_a_colour_of_its_own() -> None:
     assert distances.min() > 7.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("costs", [(0, *TILES_COSTS), tuple(range(0, 256, 5))])
 def test_alike_costs_have_exactly_the_same_colours(costs: tuple[int, ...]) -> None:
     """The 1,024 mean colours of a cost are those of every cost: they say nothing about it.
@@ -244,6 +253,7 @@ def test_alike_costs_have_exactly_the_same_colours(costs: tuple[int, ...]) -> No
     assert (brightness == brightness[:1]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0, 12, 60])
 def test_mean_colours_of_alike_costs_are_at_chance(noise: int) -> None:
     """Nearest neighbours and class means of mean colour, also after clipped noise."""
@@ -368,7 +378,7 @@ def test_maps_without_terrain_have_pictures() -> None:
 # --- jitter --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("pixels", "augment"), [(5, False), (8, True), (16, True)])
+@pytest.mark.parametrize(("pixels", "augment"), [slow(5, False), (8, True), slow(16, True)])
 def test_jitter_equals_the_reference(pixels: int, augment: bool) -> None:
     """Each pixel, in epoch 3; the picture is turned first."""
     plain, jittered = (

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from helpers import samples, taut_reference
+from helpers.examples import slow
 from torch.utils.data import DataLoader
 
 from mapdata import (
@@ -113,7 +114,7 @@ def test_paths_of_planners_have_the_points_of_the_field(family: str, movement: M
     assert refused < 20
 
 
-@pytest.mark.parametrize("augment", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("augment", [False, slow(True)])
 def test_lines_for_a_robot_avoid_the_obstacles_of_the_map_that_is_not_inflated(
     root: str, augment: bool
 ) -> None:
@@ -132,14 +133,14 @@ def test_lines_for_a_robot_avoid_the_obstacles_of_the_map_that_is_not_inflated(
         ),
     ):
         checked = 0
-        for index in range(6):
+        for index in range(3):
             sample = dataset[index]
             obstacles = point_robot[index].map[0].numpy()
             if not (sample.map[0].numpy() >= obstacles).all():
                 continue  # a map without room for the robot was replaced by another one
             check_sample(sample, obstacles, RADIUS / RESOLUTION)
             checked += 1
-        assert checked >= 3, name
+        assert checked >= 2, name
 
 
 def test_the_number_of_points_is_that_of_the_field(root: str) -> None:

@@ -37,6 +37,7 @@ def test_the_page_is_made_from_the_file_of_results(
     assert [row["track"] for row in results["tracks"]] == list(costmap_tables.TRACKS)
 
 
+@pytest.mark.slow
 def test_each_driver_drives_on_free_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     """Their poses lie where the robot can be, nearly always, and hidden costs have no regret."""
     monkeypatch.syspath_prepend(str(DOCS))

@@ -49,14 +49,18 @@ ELSEWHERE = {
 SOAK = {"tutorial.md"}
 """Pages whose code takes minutes."""
 
-SLOW = {
+SLOW = {"distributed.md", "families.md", "gallery.md", "pretrained.md"} | {
     f"howto/{name}.md"
     for name in (
         "coming_from",
         "costmap",
         "images",
+        "labels",
+        "maps",
         "maze_hard",
         "planner",
+        "publish",
+        "spec",
         "teach",
         "terrain",
         "text",
@@ -296,6 +300,7 @@ def test_the_paper_page_has_every_column() -> None:
     assert {name.strip("`") for name in written} == columns
 
 
+@pytest.mark.slow
 @quiet
 @pytest.mark.usefixtures("_in_an_empty_folder")
 def test_the_notebook_runs_and_ends_in_pictures() -> None:
@@ -348,6 +353,7 @@ def test_each_picture_is_one_that_the_script_draws() -> None:
     assert set(shown) == {DOCS / "images" / f"{name}.png" for name in script["NAMES"]}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_in_an_empty_folder")
 def test_a_picture_is_drawn_in_both_themes(tmp_path: Path) -> None:
     """Its words are dark on light pages and light on dark ones, its paper is that of the page."""

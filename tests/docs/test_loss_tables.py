@@ -36,6 +36,7 @@ def test_the_page_shows_the_rows_of_the_file(tables: Any, rows: Any) -> None:
     assert tables.table(rows) in (DOCS / "costs.md").read_text()
 
 
+@pytest.mark.slow
 def test_each_loss_has_the_same_trials_and_tests(tables: Any, rows: Any) -> None:
     """Four trials on one set, and the best of them with three seeds and both budgets on another."""
     for method in tables.OPTIONS:
@@ -110,6 +111,7 @@ def test_fenchel_young_has_the_gradient_of_its_paper(tables: Any) -> None:
     assert not np.allclose(costs.grad, (teacher - found) / len(found))
 
 
+@pytest.mark.slow
 def test_a_training_ends_after_its_steps(tables: Any) -> None:
     """Its loss of paths falls on the maps of the training."""
     untrained, _ = tables.train("paths", 0, 0.01, 7, steps=1)

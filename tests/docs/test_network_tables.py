@@ -37,6 +37,7 @@ def test_the_table_of_the_page_is_that_of_the_file(tables: ModuleType, tmp_path:
         assert drawn["hard"] == planners.sets[name]["hard"]
 
 
+@pytest.mark.slow
 def test_costs_of_cells_are_low_about_the_shortest_path(tables: ModuleType) -> None:
     """Both networks give a cost to each cell, and lower ones to more than half of the cells of a
     shortest path.

@@ -65,6 +65,7 @@ def rows_of(folder: Path) -> pd.DataFrame:
     return pd.DataFrame(document["rows"]).set_index("planner")
 
 
+@pytest.mark.slow
 def test_one_command_adds_a_planner_to_the_results(
     tables: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -101,6 +102,7 @@ def test_one_command_adds_a_planner_to_the_results(
     assert {row["run"] for row in document["rows"]} == {0, 1}
 
 
+@pytest.mark.slow
 def test_the_row_without_a_network_is_measured_alone(
     tables: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -152,6 +152,7 @@ def rows_of(printed: str) -> dict[str, tuple[float, float]]:
     return {name: (float(optimal), float(regret)) for name, optimal, regret in found}
 
 
+@pytest.mark.slow
 def test_its_program_ends_in_a_table() -> None:
     """It has at most 45 lines. After two steps its rows are those of the page, and those that need
     no network have the page's figures.
@@ -177,6 +178,7 @@ def test_its_program_learns(seed: int) -> None:
     assert regret <= 0.5
 
 
+@pytest.mark.slow
 def test_every_command_runs() -> None:
     """As they stand, and the picture that one names is there."""
     shown = pages.run(COMMAND)

@@ -383,6 +383,7 @@ def test_the_changelog_knows_this_version() -> None:
     assert sections[:2] == ["Unreleased", mapdata.__version__]
 
 
+@pytest.mark.slow
 def test_the_three_sets_of_the_page_can_be_made(tmp_path: Path) -> None:
     """Each command of the page with a count of two; the loop over presets with its first one."""
     pytest.importorskip("pyarrow")

@@ -13,6 +13,7 @@ import numba
 import pytest
 import yaml
 from helpers.builds import stamps
+from helpers.examples import slow
 
 from mapdata import build
 from mapdata.cli import main
@@ -44,7 +45,7 @@ def test_the_plan_follows_from_the_rates() -> None:
         assert files == f"{maps // int(shard.replace(',', '')):,}"
 
 
-@pytest.mark.parametrize("name", list(RATES))
+@pytest.mark.parametrize("name", [slow(name) if name != "paper" else name for name in RATES])
 def test_a_map_has_so_many_bytes(name: str, tmp_path: Path) -> None:
     """A real build agrees, within a twentieth."""
     maps = 100 if name == "dungeon128" else 1000

@@ -36,6 +36,7 @@ def test_the_sets_of_the_table_keep_their_problems(tables: ModuleType) -> None:
         assert tables.problems_of(name).content_hash == results.sets[name]["hash"]
 
 
+@pytest.mark.slow
 def test_a_network_is_measured_beside_the_classical_planners(
     tables: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

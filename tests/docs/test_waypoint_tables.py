@@ -44,6 +44,7 @@ def test_waypoints_never_collide(tables: Any, results: Any) -> None:
         assert row["cells"] < row["taut"]
 
 
+@pytest.mark.slow
 def test_planners_come_in_this_order(tables: Any, results: Any) -> None:
     """The ruler collides most often and predicted waypoints never: in the file, and now."""
     for rows in (results["planners"], tables.measure_planners(20)):

@@ -19,6 +19,7 @@ import numpy.typing as npt
 import pandas as pd
 import pytest
 import torch
+from helpers.examples import slow
 from helpers.reference import Cell
 from scipy import stats
 
@@ -215,7 +216,7 @@ def test_a_path_of_another_rank_fails() -> None:
 
 
 @pytest.mark.parametrize(
-    "movement", [Movement(), Movement(8), Movement(8, True)], ids=["4", "8", "cutting"]
+    "movement", [slow(Movement()), Movement(8), slow(Movement(8, corner_cutting=True))]
 )
 def test_the_row_of_astar_is_exact(movement: Movement) -> None:
     """A* is compared with itself, so its metrics and both ends of their intervals are 1, 1, 1, 1,
@@ -677,6 +678,7 @@ def test_bad_arguments_are_refused() -> None:
         evaluate([Lazy([(DETOUR, 1), ([], 1), ([], 1)], "lazy")], three())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("movement", "greedy", "weighted", "limit"),
     [(Movement(8), 0.44, 0.53, 0.827), (Movement(8, corner_cutting=True), 0.38, 0.49, 0.829)],
@@ -753,6 +755,7 @@ def test_the_script_writes_a_list_of_rows(
         }
 
 
+@pytest.mark.slow
 def test_the_script_measures_in_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     """Times count all threads, also those that wait; afterwards torch has the threads as before."""
     seen = []
@@ -770,6 +773,7 @@ def test_the_script_measures_in_one_thread(monkeypatch: pytest.MonkeyPatch) -> N
     assert seen == [1, 2]
 
 
+@pytest.mark.slow
 def test_the_script_takes_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A root replaces preset and seed, and gives one problem on each map of its test split."""
     build(tmp_path / "maps", DUNGEON, maps=60, seed=9, shard_size=60, workers=1)
@@ -831,6 +835,7 @@ def test_the_script_says_what_is_wrong_in_one_line(
     assert captured.err.startswith("mapdata: ")
 
 
+@pytest.mark.slow
 def test_the_script_loads_weights_for_the_movement_of_the_problems(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

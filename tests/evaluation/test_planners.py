@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from helpers import reference
+from helpers.examples import Some
 from helpers.grids import scipy_distances
 from helpers.reference import Cell
 
@@ -174,11 +175,13 @@ def test_weighted_costs_are_bounded(movement: Movement, weight: float) -> None:
 
 
 @movements
-def test_classical_planners_solve_problems_alone_and_in_batches(movement: Movement) -> None:
+def test_classical_planners_solve_problems_alone_and_in_batches(
+    some: Some, movement: Movement
+) -> None:
     """BFS and A* are mapdata's, the limit is A*'s path with its cells counted; alone and batched
     answer the same.
     """
-    problems = ProblemSet.sample(MapSpec(), 7, 30, movement=movement)
+    problems = ProblemSet.sample(MapSpec(), 7, some(30), movement=movement)
     ends = ends_of(problems)
     rows = {planner.name: planner for planner in classical(movement)}
     jump_points = ["jump point search"] if movement.connectivity == 8 else []

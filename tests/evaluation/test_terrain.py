@@ -12,6 +12,7 @@ import numpy.typing as npt
 import pandas as pd
 import pytest
 from helpers import reference
+from helpers.examples import slow
 from helpers.reference import Cell
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
@@ -268,7 +269,7 @@ def row(table: pd.DataFrame, planner: str, subset: str = "all") -> pd.Series:
     return rows.iloc[0]
 
 
-@pytest.mark.parametrize("movement", [*MOVEMENTS, NEURAL_ASTAR], ids=str)
+@pytest.mark.parametrize("movement", [*map(slow, MOVEMENTS), NEURAL_ASTAR], ids=str)
 def test_the_table_of_classical_planners_on_terrain(movement: Movement) -> None:
     """Optimal planners have no regret, and those that do not see the terrain have one."""
     problems = tiles(40, movement, seed=8)  # a seed with which all problems are hard

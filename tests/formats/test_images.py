@@ -477,6 +477,7 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in kilobytes on Linux")
 def test_decompression_bombs_take_no_memory(tmp_path: Path) -> None:
     """Bombs of 88 and 400 megapixels and of 128 MiB are refused with less than 50 MB

@@ -139,6 +139,7 @@ def test_problems_are_one_start_of_each_interval_on_each_test_map(
             read_problems(path, seed=seed)
 
 
+@pytest.mark.slow
 def test_starts_are_uniform_over_the_cells_of_an_interval(tmp_path: Path) -> None:
     """On a free map, 300 seeds draw every cell of the farthest interval."""
     np.savez(tmp_path / "maps.npz", **sound(1, 8, 8))  # type: ignore[arg-type]

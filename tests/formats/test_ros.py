@@ -730,9 +730,9 @@ def slowly_resampled(grid: Bytes, factor: Fraction, rule: str) -> list[list[int]
 @examples(100, SETTINGS)
 @given(
     arrays.arrays(
-        np.uint8, st.tuples(st.integers(1, 7), st.integers(1, 7)), elements=st.integers(0, 1)
+        np.uint8, st.tuples(st.integers(1, 5), st.integers(1, 5)), elements=st.integers(0, 1)
     ),
-    st.fractions(Fraction(1, 4), 7, max_denominator=6),
+    st.fractions(Fraction(1, 4), 5, max_denominator=6),
     st.sampled_from(["any", "mean"]),
 )
 def test_resampling_adds_up_areas(grid: Bytes, factor: Fraction, rule: str) -> None:

@@ -8,6 +8,9 @@ from pathlib import Path
 from mapdata.generators.generator import GENERATORS, _presets, register_installed
 from mapdata.generators.stored_families import _cached_generator
 
+KNOWN = ", ".join(GENERATORS)
+"""The families of mapdata as messages list them. tests/generators/test_generator.py states them."""
+
 PILLARS = """
 from dataclasses import dataclass
 from typing import ClassVar

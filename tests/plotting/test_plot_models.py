@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from helpers.examples import slow
 from helpers.figures import assert_lines, assert_tidy, drawn, ends_of, figure_of
 from helpers.samples import WIDE, build_small
 from matplotlib.axes import Axes
@@ -50,7 +51,7 @@ def test_samples_without_a_map_and_empty_batches_are_refused(tmp_path: Path) -> 
         plot_sample(MapDataset(root)[:3], plot_sample(MapDataset(root)[0]))
 
 
-@pytest.mark.parametrize("count", [1, 5, 12])
+@pytest.mark.parametrize("count", [1, slow(5), 12])
 @pytest.mark.parametrize("dtype", [None, torch.float32])
 def test_batch_is_a_grid_of_its_first_samples(
     tmp_path: Path, count: int, dtype: torch.dtype | None

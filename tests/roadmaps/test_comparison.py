@@ -96,6 +96,7 @@ def test_the_table_has_success_and_lengths_of_roadmaps() -> None:
     assert row["length_ratio"] == pytest.approx(ratios.mean())
 
 
+@pytest.mark.slow
 def test_a_perfect_sampler_is_perfect() -> None:
     """A sampler of the vertices of the shortest path solves all problems, and its paths are as long
     as those on the dense roadmap.
@@ -159,6 +160,7 @@ def test_every_row_has_n_free_points() -> None:
             assert np.array_equal(points[name][:, first_half:], alone)
 
 
+@pytest.mark.slow
 def test_the_figure() -> None:
     """It has a line for each sampler, and the error bars end at the bounds of the intervals."""
     from matplotlib.collections import LineCollection

@@ -7,11 +7,12 @@ from __future__ import annotations
 import itertools
 import math
 from fractions import Fraction
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers.examples import examples
+from helpers.examples import examples, slow
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import dijkstra
@@ -34,9 +35,14 @@ from mapdata.roadmaps import (
     uniform,
 )
 
-DUNGEON = ProblemSet.sample(MapSpec.preset("dungeon"), seed=3, maps=12, movement=Movement(8))
 Grid = npt.NDArray[np.uint8]
 Point = tuple[Fraction, Fraction]
+
+
+@cache
+def dungeon() -> ProblemSet:
+    """Return problems on maps with long detours."""
+    return ProblemSet.sample(MapSpec.preset("dungeon"), seed=3, maps=12, movement=Movement(8))
 
 
 def touches(start: Point, end: Point, cell: tuple[int, int]) -> bool:
@@ -110,7 +116,7 @@ def plain_edges(
     return edges
 
 
-@pytest.mark.parametrize("max_length", [3.0, 12.5, 100.0])
+@pytest.mark.parametrize("max_length", [slow(3.0), 12.5, slow(100.0)])
 @pytest.mark.parametrize("shape", [(64, 64), (20, 50)])
 def test_edges_are_those_of_all_pairs(shape: tuple[int, int], max_length: float) -> None:
     """The roadmap has the edges that a test of points along each pair of vertices accepts, except
@@ -137,9 +143,10 @@ def test_shortest_paths_are_those_of_scipy() -> None:
     the edges of the path have that cost.
     """
     rng = np.random.default_rng(0)
-    for k, grid in enumerate(DUNGEON.grids):
+    problems = dungeon()
+    for k, grid in enumerate(problems.grids):
         samples = halton(grid, 150, seed=k)
-        roadmap = roadmap_between(grid, DUNGEON.starts[k], DUNGEON.goals[k], samples)
+        roadmap = roadmap_between(grid, problems.starts[k], problems.goals[k], samples)
         n = len(roadmap.points)
         no_prices = np.ones(n)
         random_prices = 1 + 9 * rng.random(n)
@@ -177,12 +184,13 @@ def test_dense_roadmaps_solve_what_grids_solve() -> None:
     """Roadmaps of 2,000 vertices have a path for every problem, hardly longer than the 8-connected
     path on the grid, and never shorter than the straight line.
     """
-    samples = halton(DUNGEON.grids[0], 2000, 1)
+    problems = dungeon()
+    samples = halton(problems.grids[0], 2000, 1)
     assert len(np.unique(samples, axis=0)) == 2000
-    dense = np.stack([halton(grid, 2000, 1) for grid in DUNGEON.grids])
-    lengths = path_lengths(DUNGEON.grids, DUNGEON.starts, DUNGEON.goals, dense)
-    assert (lengths < DUNGEON.optimal.cost * 1.06 + 1).all()
-    straight = np.linalg.norm(DUNGEON.starts - DUNGEON.goals, axis=1)
+    dense = np.stack([halton(grid, 2000, 1) for grid in problems.grids])
+    lengths = path_lengths(problems.grids, problems.starts, problems.goals, dense)
+    assert (lengths < problems.optimal.cost * 1.06 + 1).all()
+    straight = np.linalg.norm(problems.starts - problems.goals, axis=1)
     assert (lengths >= straight - 1e-9).all()
 
 
@@ -192,7 +200,7 @@ def test_samplers_give_free_points(name: str) -> None:
     a single free cell.
     """
     sampler = SAMPLERS[name]
-    grid = DUNGEON.grids[0]
+    grid = dungeon().grids[0]
     for n in (1, 7, 300):
         samples = sampler(grid, n, 4)
         assert samples.shape == (n, 2)

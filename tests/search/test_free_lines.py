@@ -13,6 +13,7 @@ import numpy.typing as npt
 import pytest
 import torch
 from helpers import taut_reference
+from helpers.examples import slow
 
 from mapdata import lines_are_free
 from mapdata.search.free_lines import CELL, _is_far_from_corner, has_room, is_free_segment
@@ -39,7 +40,10 @@ def segments(count: int, source: np.random.Generator) -> Iterator[tuple[Grid, An
         yield grid, ends.tolist(), bool(source.random() < 0.5)
 
 
-@pytest.mark.parametrize("count", [1500, pytest.param(1_000_000, marks=pytest.mark.soak)])
+@pytest.mark.parametrize(
+    "count",
+    [300, slow(1500), pytest.param(1_000_000, marks=pytest.mark.soak)],
+)
 def test_free_segments_are_those_of_the_oracle(count: int) -> None:
     """Whether they cross cells, run along their sides or touch their corners."""
     free = 0
@@ -91,7 +95,7 @@ def test_squared_cross_products_do_not_overflow() -> None:
                 assert _is_far_from_corner(row, column, rise, run, squared_radius) == expected
 
 
-@pytest.mark.parametrize("radius", [0, 0.4])
+@pytest.mark.parametrize("radius", [slow(0), 0.4])
 def test_lines_of_models_are_free_if_all_their_segments_are(radius: float) -> None:
     """By the exact oracle, for points anywhere, also outside the map, and for single points."""
     source = np.random.default_rng(6)

@@ -6,6 +6,7 @@ import threading
 
 import numpy as np
 import pytest
+from helpers.examples import Some
 from helpers.specs import movements
 
 from mapdata import astar, bfs
@@ -20,12 +21,12 @@ CUTTING = Movement(8, corner_cutting=True)
 
 @movements
 @pytest.mark.parametrize("side", [256, 1024])
-def test_a_plain_call_faults_in_no_pages(movement: Movement, side: int) -> None:
+def test_a_plain_call_faults_in_no_pages(some: Some, movement: Movement, side: int) -> None:
     """What a search writes to is there from the call before."""
     resource = pytest.importorskip("resource")
     grid = np.zeros((side, side), dtype=np.uint8)
     ends = ((0, 0), (side - 1, side // 2))
-    calls = 50
+    calls = some(50)
     for search in (astar, bfs):
         search(grid, *ends, movement)
         search(grid, *ends, movement)

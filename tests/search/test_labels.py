@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import reference
+from helpers.examples import Some
 from helpers.grids import scipy_distances
 from helpers.specs import movements
 from scipy import ndimage
@@ -109,13 +110,11 @@ def assert_equals_reference(maps: Maps, labels: Labels, i: int, every_pair: bool
 
 @movements
 @pytest.mark.parametrize("name", SPECS)
-def test_small_maps_equal_the_reference(name: str, movement: Movement) -> None:
-    """Everything that `label` gives, both matrices searched entry by entry, on twenty maps of each
-    kind.
-    """
-    maps = generate(replace(SPECS[name], movement=movement), 6, range(20))
+def test_small_maps_equal_the_reference(some: Some, name: str, movement: Movement) -> None:
+    """Everything that `label` gives, both matrices searched entry by entry."""
+    maps = generate(replace(SPECS[name], movement=movement), 6, range(some(20)))
     labels = label(maps)
-    for i in range(20):
+    for i in range(len(maps.rooms)):
         assert_equals_reference(maps, labels, i, every_pair=True)
 
 
@@ -127,11 +126,11 @@ def test_small_maps_equal_the_reference(name: str, movement: Movement) -> None:
         for name in PRESETS
     ],
 )
-def test_presets_equal_the_reference(name: str, movement: Movement) -> None:
+def test_presets_equal_the_reference(some: Some, name: str, movement: Movement) -> None:
     """Everything that `label` gives, for maps of all presets."""
-    maps = generate(replace(MapSpec.preset(name), movement=movement), 1, range(PRESETS[name]))
+    maps = generate(replace(MapSpec.preset(name), movement=movement), 1, range(some(PRESETS[name])))
     labels = label(maps)
-    for i in range(PRESETS[name]):
+    for i in range(len(maps.rooms)):
         assert_equals_reference(maps, labels, i, every_pair=False)
 
 
@@ -153,13 +152,13 @@ def test_the_kinds_of_map_are_what_they_are_for() -> None:
 @pytest.mark.parametrize(
     "generator", [*SPECS.values(), *map(MapSpec.preset, PRESETS)], ids=[*SPECS, *PRESETS]
 )
-def test_four_connected_matrices(generator: MapSpec) -> None:
+def test_four_connected_matrices(some: Some, generator: MapSpec) -> None:
     """BFS's and A*'s matrices are equal, symmetric, zero on the diagonal, and hold each segment's
     moves.
     """
-    maps = generate(generator, 21, range(200))
+    maps = generate(generator, 21, range(some(200)))
     labels = label(maps)
-    for i in range(200):
+    for i in range(len(maps.rooms)):
         matrix = labels.matrix("bfs", i)
         np.testing.assert_array_equal(matrix, labels.matrix("astar", i))
         np.testing.assert_array_equal(matrix, matrix.T)
@@ -172,16 +171,18 @@ def test_four_connected_matrices(generator: MapSpec) -> None:
 
 @movements
 @pytest.mark.parametrize("name", ["islands", "wide", "dungeon"])
-def test_no_connection_exactly_where_components_differ(name: str, movement: Movement) -> None:
+def test_no_connection_exactly_where_components_differ(
+    some: Some, name: str, movement: Movement
+) -> None:
     """-1, `reachable` and `all_connected` follow scipy's connected components; the smallest other
     entry is 0.
     """
     generator = SPECS[name] if name in SPECS else MapSpec.preset(name)
-    maps = generate(replace(generator, movement=movement), 22, range(200))
+    maps = generate(replace(generator, movement=movement), 22, range(some(200)))
     labels = label(maps)
     structure = ndimage.generate_binary_structure(2, 2 if movement.corner_cutting else 1)
     apart = 0
-    for i in range(200):
+    for i in range(len(maps.rooms)):
         components, _ = ndimage.label(maps.occupancy[i] == 0, structure=structure)
         rows, columns = np.array(seed_points_of(maps, i)).T
         of_seed = components[rows, columns]
@@ -194,7 +195,7 @@ def test_no_connection_exactly_where_components_differ(name: str, movement: Move
         np.testing.assert_array_equal(labels.reachable[first:last], together.diagonal(1))
         assert labels.all_connected[i] == together.all()
         apart += not together.all()
-    assert 0 < apart < 200
+    assert 0 < apart < len(maps.rooms)
 
 
 @movements

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from helpers import taut_reference
+from helpers.examples import Some, slow
 from helpers.grids import random_grids, serpentine
 
 from mapdata import (
@@ -128,11 +129,11 @@ def test_taut_lines_pass_obstacles_on_the_sides_of_their_paths(problems: list[Pr
             assert taut_reference.winding_number(loop, (cell + 0.5).tolist()) == 0
 
 
-def test_a_walk_with_detours_is_pulled_to_the_same_line_as_its_reduction() -> None:
+def test_a_walk_with_detours_is_pulled_to_the_same_line_as_its_reduction(some: Some) -> None:
     """A random walk on a tree of corridors has one taut line: that of its ends' shortest path."""
     source = np.random.default_rng(11)
     grid = generate(Maze(map_size=(17, 17)), 5, [0]).occupancy[0]
-    for _ in range(40):
+    for _ in range(some(40)):
         walk = [tuple(source.choice(np.argwhere(grid == 0)).tolist())]
         while len(walk) < 150:
             step = [(-1, 0), (0, 1), (1, 0), (0, -1)][source.integers(4)]
@@ -145,6 +146,7 @@ def test_a_walk_with_detours_is_pulled_to_the_same_line_as_its_reduction() -> No
             np.testing.assert_array_equal(pull_taut(grid, walk, radius), expected)
 
 
+@pytest.mark.slow
 def test_taut_lines_are_nearly_as_short_as_a_visibility_graph() -> None:
     """Never shorter, and longer only where the path takes another side of an obstacle."""
     source = np.random.default_rng(3)
@@ -231,12 +233,12 @@ def is_same_side(grid: Grid, line: Line, other: Line) -> bool:
 
 
 @pytest.mark.parametrize("radius", [0.5, 1.5, 2.5])
-def test_lines_on_empty_maps_are_straight(radius: float) -> None:
+def test_lines_on_empty_maps_are_straight(some: Some, radius: float) -> None:
     """Also beside the border, where the robot fits exactly, and for paths with detours."""
     source = np.random.default_rng(12)
     grid = np.zeros((8, 9), np.uint8)
     inflated = inflate(grid, radius)
-    for _ in range(40):
+    for _ in range(some(40)):
         corner, start, goal = (free_cells(inflated, source)[0] for _ in range(3))
         path = astar(inflated, start, corner, Movement(8)).path.tolist()
         path += astar(inflated, corner, goal, Movement(8)).path.tolist()[1:]
@@ -268,7 +270,7 @@ SMALL_FAMILIES: tuple[MapGenerator, ...] = (
 )
 
 
-@pytest.mark.parametrize("radius", [pytest.param(0.5, marks=pytest.mark.slow), 1.5, 2.5])
+@pytest.mark.parametrize("radius", [slow(0.5), slow(1.5), 2.5])
 def test_lines_for_a_robot_are_nearly_as_short_as_a_visibility_graph(radius: float) -> None:
     """Longer by the octagon alone, where the line and the graph's pass obstacles alike."""
     source = np.random.default_rng(21)
@@ -293,13 +295,15 @@ def test_lines_for_a_robot_are_nearly_as_short_as_a_visibility_graph(radius: flo
 
 
 @pytest.mark.filterwarnings("ignore:radius_cells. a robot .* is within one cell")
-@pytest.mark.parametrize("radius", [0.3, 0.5, 1.5, 2.5])
-def test_a_line_for_a_robot_is_never_longer_than_a_free_straight_line(radius: float) -> None:
+@pytest.mark.parametrize("radius", [slow(0.3), 0.5, slow(1.5), 2.5])
+def test_a_line_for_a_robot_is_never_longer_than_a_free_straight_line(
+    some: Some, radius: float
+) -> None:
     """Of the same homotopy class; and no bend can be left out."""
     source = np.random.default_rng(31)
     compared = 0
     for name in ("paper", "narrow", "cave", "forest", "noise"):
-        for grid in generate(PRESETS[name], 5, range(20)).occupancy:
+        for grid in generate(PRESETS[name], 5, range(some(20))).occupancy:
             inflated = inflate(grid, radius)
             if (inflated == 0).sum() < 2:
                 continue
@@ -315,7 +319,7 @@ def test_a_line_for_a_robot_is_never_longer_than_a_free_straight_line(radius: fl
                 if lines_are_free([grid], [chord], radius)[0] and is_same_side(grid, part, chord):
                     assert length_of(part) <= length_of(chord) * (1 + 1e-12)
                     compared += 1
-    assert compared >= 10
+    assert compared >= some(10)
 
 
 TOUCHING_RADII = [
@@ -326,10 +330,10 @@ TOUCHING_RADII = [
 
 
 @pytest.mark.parametrize("radius", [0, 0.5, *TOUCHING_RADII])
-def test_a_path_and_its_reverse_have_the_same_line(radius: float) -> None:
+def test_a_path_and_its_reverse_have_the_same_line(some: Some, radius: float) -> None:
     """Also where the octagon has no room, and the line follows the cells of the path."""
     source = np.random.default_rng(5)
-    for _ in range(12):
+    for _ in range(some(12)):
         grid = np.zeros((20, 24), np.uint8)
         for _ in range(4):
             row, column = source.integers(20), source.integers(24)

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from helpers import hostile
 from helpers.builds import SOUND_SEED, SOUND_SPEC
+from helpers.examples import Some
 from helpers.pages import ROOT
 from helpers.specs import Noted, movements
 
@@ -208,14 +209,16 @@ def test_no_library_opens_a_shard(sound: Path, monkeypatch: pytest.MonkeyPatch) 
     assert len(decode(open_shard(sound, len(image), sha256_hex(image))).maps) == 3
 
 
-def test_damaged_metadata_are_refused_or_harmless(sound: Path, tmp_path: Path) -> None:
+def test_damaged_metadata_are_refused_or_harmless(some: Some, sound: Path, tmp_path: Path) -> None:
     """A flipped bit between the arrays: no other header, no other maps and labels."""
     image = sound.read_bytes()
     header = open_shard(sound).header
     content = content_hash(read_shard(sound))
     path = tmp_path / "shard.h5"
+    places = places_of_metadata(image)[::23]
+    tried = places[:: len(places) // some(len(places))]
     refused = 0
-    for place in places_of_metadata(image)[::23]:
+    for place in tried:
         damaged = bytearray(image)
         damaged[place] ^= 1 << place % 8
         path.write_bytes(damaged)
@@ -226,7 +229,7 @@ def test_damaged_metadata_are_refused_or_harmless(sound: Path, tmp_path: Path) -
             continue
         assert open_shard(path).header == header
         assert content_hash(labels) == content
-    assert refused > 200
+    assert refused > len(tried) / 4
 
 
 # --- checksums ----------------------------------------------------------------------------------

@@ -95,6 +95,7 @@ def test_a_dataset_of_links_is_refused_by_name_and_followed_on_demand(
     assert verify(tmp_path / "copy") == []
 
 
+@pytest.mark.slow
 def test_every_door_follows_links_on_demand(
     real: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

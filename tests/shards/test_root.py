@@ -617,6 +617,7 @@ def test_verify_looks_at_what_is_served(server: Server, tmp_path: Path) -> None:
         verify([server.folder, server.url + "x"])
 
 
+@pytest.mark.slow
 def test_every_verb_takes_a_url_or_says_why_not(
     server: Server, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -22,7 +22,7 @@ from helpers import hostile
 from helpers.builds import SOUND_SEED as SEED
 from helpers.builds import SOUND_SPEC as SPEC
 from helpers.builds import unprivileged_folder
-from helpers.examples import examples
+from helpers.examples import Some, examples
 from helpers.specs import MOVEMENTS, movements, specs
 from hypothesis import given
 from hypothesis import strategies as st
@@ -513,11 +513,11 @@ def flip_bits(sound: Sound, path: Path, flips: list[tuple[int, int]]) -> int:
     return taken
 
 
-def test_a_flipped_bit_is_refused_or_harmless(sound: Sound, tmp_path: Path) -> None:
+def test_a_flipped_bit_is_refused_or_harmless(some: Some, sound: Sound, tmp_path: Path) -> None:
     """No flipped bit brings another error than ShardError, another header, or a crash."""
     random = Random(5)
     size = len(sound.contents.image)
-    flips = [(random.randrange(size), random.randrange(8)) for _ in range(400)]
+    flips = [(random.randrange(size), random.randrange(8)) for _ in range(some(400))]
     taken = flip_bits(sound, tmp_path / "shard.h5", flips)
     assert 0 < taken < len(flips)
 

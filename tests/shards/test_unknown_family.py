@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from helpers.builds import publish, restated
-from helpers.families import PILLARS, forget, write_module
+from helpers.families import KNOWN, PILLARS, forget, write_module
 from helpers.samples import ALL_FIELDS, assert_same
 
 from mapdata import (
@@ -42,8 +42,7 @@ from mapdata.shards.reader import map_shard
 
 NOT_KNOWN = re.escape(
     "the family 'pillars' is not known here; import its module (--import MODULE in a command, "
-    "import MODULE in Python); known are rooms, maze, cave, forest, "
-    "random_walls, terrain"
+    f"import MODULE in Python); known are {KNOWN}"
 )
 RECIPE = {"spec": {"generator": "pillars", "gaps": [2, 4]}, "seed": 3, "maps": 10}
 

@@ -23,6 +23,7 @@ import pytest
 import pytorch_lightning as pl
 import safetensors
 import torch
+from helpers.examples import slow
 from pytorch_lightning.callbacks import ModelCheckpoint
 from torch.utils.data import DataLoader
 
@@ -340,7 +341,7 @@ def test_the_walk_is_depth_first(movement: Movement) -> None:
         assert plan.expansions == len(expected)
 
 
-@pytest.mark.parametrize("size", [(64, 64), (37, 50)])
+@pytest.mark.parametrize("size", [slow((64, 64)), (37, 50)])
 def test_plan_and_plan_batch_agree(size: tuple[int, int]) -> None:
     """Problems have the same paths alone and in a batch, except where rounding decides."""
     generator = MapSpec(
@@ -572,6 +573,7 @@ def test_plans_on_terrain_are_scored_on_terrain() -> None:
     assert path.tolist() == walk[0].path.tolist()
 
 
+@pytest.mark.slow
 def test_a_network_on_terrain_learns_and_is_saved(tmp_path: Path) -> None:
     """A few steps from paths alone change its weights; the file has all that it takes to load it.
 
@@ -660,7 +662,7 @@ def test_learns_from_map_start_goal_path(tmp_path: Path, connectivity: int) -> N
     assert after["moves"] < before["moves"]
 
 
-@pytest.mark.parametrize("connectivity", [4, 8])
+@pytest.mark.parametrize("connectivity", [slow(4), 8])
 def test_resumes(tmp_path: Path, connectivity: int) -> None:
     """Two steps, a checkpoint, and two steps from there give the weights of four steps in one run,
     with maps of several sizes.
@@ -899,7 +901,7 @@ def test_more_epochs_for_a_finished_run_are_refused_with_advice(
     script([*fit, "--start_from=weights.pt", "--trainer.max_epochs=2"])
 
 
-@pytest.mark.parametrize("unsolvable", [False, True])
+@pytest.mark.parametrize("unsolvable", [slow(False), True])
 def test_validation_logs_opt_and_hmean(tmp_path: Path, unsolvable: bool) -> None:
     """They are those of the table of planners for hard problems of 10 cells or more, over all
     batches, without problems that have no path.
