@@ -42,6 +42,9 @@ USES: dict[str, str] = {
     "batch of mazes": LOADER + "batch('maze')",
     "batch of random problems on terrain": LOADER + "batch('terrain', problems='random')",
     "batch of tile images": LOADER + "batch('tiles', fields=('map', 'image'))",
+    "all classical planners under 8 moves": "from mapdata import *; from mapdata.evaluation import "
+    "classical; moves = Movement(8); evaluate(classical(moves), "
+    "ProblemSet.sample('paper', seed=1, maps=20, movement=moves))",
     "one path by A*": "import numpy; from mapdata import astar, Movement; "
     "astar(numpy.zeros((9, 9), 'u1'), (0, 0), (8, 8), Movement(8))",
 }

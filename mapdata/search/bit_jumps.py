@@ -521,7 +521,7 @@ def _search(
     count: Int = 1
     # An expansion pushes at most one cell for each of four straight scans, and for each of four
     # diagonal ones two cells a step and one at its end.
-    max_pushes = 8 * min(shape) + 8
+    max_pushes = 8 * min(shape[0], shape[1]) + 8
     expansions = 0
     looks = 1
     goal_cost = np.int64(-1)

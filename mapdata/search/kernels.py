@@ -416,7 +416,7 @@ def best_first_heap(
     start: Int,
     goal: Int,
     weights: tuple[Int, float],
-    landmark_costs: Ints | None,
+    landmark_costs: Ints,
     lattice: Lattice,
     scratch: Scratch,
 ) -> tuple[Int, Int, Int]:
@@ -431,8 +431,8 @@ def best_first_heap(
         goal: padded cell, free.
         weights: of g and h in f; not BFS.
         landmark_costs: (landmarks, cells), costs between cells and landmarks that both ends reach,
-            of which h is the largest bound (`mapdata.search.landmarks`); None for the distance on
-            an empty map alone. numba compiles only what its type needs.
+            of which h is the largest bound (`mapdata.search.landmarks`); without any, h is the
+            distance on an empty map. That is no None, so that the kernel is compiled only once.
         lattice: of the map.
         scratch: with the map loaded in ``came_from``.
 
@@ -489,10 +489,9 @@ def best_first_heap(
             rows_to_goal = row + STEPS[move, 0] - goal_row
             columns_to_goal = column + STEPS[move, 1] - goal_column
             h = heuristic(rows_to_goal, columns_to_goal, lattice)
-            if landmark_costs is not None:
-                for k in range(len(landmark_costs)):
-                    # The triangle inequality.
-                    h = max(h, abs(landmark_costs[k, neighbour] - landmark_costs[k, goal]))
+            for k in range(len(landmark_costs)):
+                # The triangle inequality.
+                h = max(h, abs(landmark_costs[k, neighbour] - landmark_costs[k, goal]))
             if h_weight != 1:  # Multiplied by the float 1.0, a large h would be rounded.
                 h = np.int64(h_weight * h)
             came_from[neighbour] = move

@@ -168,8 +168,9 @@ def search_loaded(
                 queue_length = flood(start, np.full(1, goal), lattice, scratch)
                 expansions = expansions_until(scratch.pushed, queue_length, goal)
             else:
+                no_landmarks = np.empty((0, 0), np.int64)
                 expansions, pushes, high_cost = best_first_heap(
-                    start, goal, weights, None, lattice, scratch
+                    start, goal, weights, no_landmarks, lattice, scratch
                 )
         elif weights is None:
             expansions, pushes, high_cost = terrain_astar(start, goal, ground, lattice, scratch)
