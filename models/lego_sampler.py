@@ -31,6 +31,9 @@ from mapdata.models import fast_precision
 from mapdata.roadmaps import compare, contenders, to_text
 from mapdata.search import STEPS
 
+ROOT = "data/dungeon"
+"""The dataset that is trained on if no other is named; it is built if it is missing."""
+
 MOVEMENT = Movement(connectivity=8)
 """Eight moves that cut no corner."""
 
@@ -157,7 +160,8 @@ class LegoSampler(pl.LightningModule):
         """Make the network."""
         super().__init__()
         self.save_hyperparameters()
-        # With this order of numbers in memory convolutions take less time.
+        # As many inputs as `planes_of` returns, and a score. With this order of numbers in memory
+        # convolutions take less time.
         self.network = Network(6, 1).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, maps: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
@@ -247,15 +251,14 @@ class LegoSampler(pl.LightningModule):
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train on a dataset, and compare the sampler with others on its test split."""
     parser = argparse.ArgumentParser(description="Train a sampler of roadmaps, and compare it.")
-    parser.add_argument("root", nargs="?", default="data/dungeon", help="folder of a dataset")
-    parser.add_argument("--preset", default="dungeon", help="what is built if there is no folder")
+    parser.add_argument("root", nargs="?", default=ROOT, help="folder of a dataset")
     parser.add_argument("--steps", type=int, default=1500, help="steps of 16 problems each")
     parser.add_argument("--weights", help="file to which the weights are written")
     options = parser.parse_args(arguments)
     pl.seed_everything(1)
     data = MapDataModule(
         options.root,
-        build=options.preset,
+        build="dungeon" if options.root == ROOT else None,
         fields=FIELDS,
         problems=PROBLEMS,
         movement=MOVEMENT,

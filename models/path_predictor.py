@@ -30,6 +30,9 @@ from mapdata.arrays import Bytes, Float32s, Ints
 from mapdata.evaluation import GuidedSearch, classical, prior, to_text
 from mapdata.models import fast_precision
 
+ROOT = "data/dungeon"
+"""The dataset that is trained on if no other is named; it is built if it is missing."""
+
 MOVEMENT = Movement(connectivity=8)
 """Eight moves that cut no corner."""
 
@@ -127,7 +130,8 @@ class MovePredictor(pl.LightningModule):
         """Make the network."""
         super().__init__()
         self.save_hyperparameters()
-        # With this order of numbers in memory convolutions take less time.
+        # As many inputs as `planes_of` returns, 8 scores and a ratio. With this order of numbers in
+        # memory convolutions take less time.
         self.network = Network(11, 9).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, maps: Tensor, goals: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -210,15 +214,14 @@ class MovePredictor(pl.LightningModule):
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train on a dataset, and compare the predictor with classical planners on its test split."""
     parser = argparse.ArgumentParser(description="Train a path predictor, and compare it.")
-    parser.add_argument("root", nargs="?", default="data/dungeon", help="folder of a dataset")
-    parser.add_argument("--preset", default="dungeon", help="what is built if there is no folder")
+    parser.add_argument("root", nargs="?", default=ROOT, help="folder of a dataset")
     parser.add_argument("--steps", type=int, default=1500, help="steps of 16 maps each")
     parser.add_argument("--weights", help="file to which the weights are written")
     options = parser.parse_args(arguments)
     pl.seed_everything(1)
     data = MapDataModule(
         options.root,
-        build=options.preset,
+        build="dungeon" if options.root == ROOT else None,
         fields=FIELDS,
         problems="random",
         movement=MOVEMENT,

@@ -7,7 +7,7 @@ predicted costs finds nearly shortest paths on new pictures:
     import pytorch_lightning as pl
     from mapdata import MapDataModule, Tiles
     from mapdata.models import CostPredictor
-    from mapdata.models.cost_predictor import TRAINING_FIELDS
+    from mapdata.models.pretrained.cost_predictor import TRAINING_FIELDS
 
     data = MapDataModule(
         "data/tiles", build="tiles", fields=(*TRAINING_FIELDS, Tiles(alike=True)), batch_size=32

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from mapdata import Cave, OnlineMapDataset, Sample
+from mapdata import Cave, OnlineMapDataset, Sample, build
 from mapdata.models.lego_sampler import (
     FIELDS,
     MOVEMENT,
@@ -150,10 +150,10 @@ def test_all_cells_are_taken_before_one_is_taken_again() -> None:
 def test_the_program_trains_compares_and_keeps_its_weights(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On a dataset that is built if it is missing; the weights sample again."""
+    """On any dataset; the weights sample again."""
     monkeypatch.chdir(tmp_path)
-    recipe = '{"spec": {"generator": "cave", "map_size": [20, 26]}, "maps": 60, "seed": 3}'
-    main(["maps", "--preset", recipe, "--steps", "2", "--weights", "sampler.ckpt"])
+    build("maps", SMALL, maps=60, seed=3)
+    main(["maps", "--steps", "2", "--weights", "sampler.ckpt"])
     table = capsys.readouterr().out
     assert all(name in table for name in ("halton", "uniform", "sample_alone"))
     model = LegoSampler.load_from_checkpoint("sampler.ckpt").eval()

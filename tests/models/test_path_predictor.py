@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from mapdata import Cave, Movement, OnlineMapDataset, ProblemSet, Sample, evaluate
+from mapdata import Cave, Movement, OnlineMapDataset, ProblemSet, Sample, build, evaluate
 from mapdata.evaluation import GuidedSearch, prior
 from mapdata.models.path_predictor import FIELDS, MOVEMENT, MovePredictor, is_optimal, main
 
@@ -101,10 +101,10 @@ def test_whatever_it_predicts_paths_are_found() -> None:
 def test_the_program_trains_compares_and_keeps_its_weights(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On a dataset that is built if it is missing; the weights predict the same again."""
+    """On any dataset; the weights predict the same again."""
     monkeypatch.chdir(tmp_path)
-    recipe = '{"spec": {"generator": "cave", "map_size": [20, 26]}, "maps": 60, "seed": 3}'
-    main(["maps", "--preset", recipe, "--steps", "2", "--weights", "moves.ckpt"])
+    build("maps", SMALL, maps=60, seed=3)
+    main(["maps", "--steps", "2", "--weights", "moves.ckpt"])
     table = capsys.readouterr().out
     assert "guided search, no network" in table
     assert "sample " in table
