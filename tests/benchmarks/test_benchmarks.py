@@ -48,6 +48,7 @@ def test_careful_labels_equal_naive_ones(preset: str) -> None:
             np.testing.assert_equal(one, other, err_msg=name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("search", ["bfs", "astar"])
 def test_a_difference_is_seen(search: str) -> None:
     """The comparison itself is no rubber stamp: one thing is broken, and that alone is named."""

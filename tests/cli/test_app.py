@@ -490,6 +490,7 @@ def test_a_card_that_is_a_link_is_replaced(run: Command, dataset: Path, tmp_path
             assert not (copy / name).is_symlink()
 
 
+@pytest.mark.slow
 def test_show_draws_the_map_and_colours_of_its_flags(
     run: Command, dataset: Path, tmp_path: Path
 ) -> None:

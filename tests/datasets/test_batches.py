@@ -93,6 +93,7 @@ def test_many_shards_with_few_descriptors(root: Path, one: Path) -> None:
     assert len(os.listdir("/proc/self/fd")) == before
 
 
+@pytest.mark.slow
 @LINUX
 def test_a_forked_worker_reads_and_unmaps_for_itself_alone(root: Path) -> None:
     """Workers that end take no mapping away from the process that they were forked from."""
@@ -227,6 +228,7 @@ def test_shards_replaced_by_the_same_maps_disturb_nobody(tmp_path: Path) -> None
             samples.assert_same(held[:], expected)
 
 
+@pytest.mark.slow
 def test_a_reader_sees_old_or_new_and_never_a_mix(tmp_path: Path) -> None:
     """Another dataset takes the place file by file: a reading is all old, all new, or refused by
     name.

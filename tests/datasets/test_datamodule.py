@@ -419,6 +419,7 @@ def test_fit_with_default_flags(root: str) -> None:
     assert model.others["val"] == val[:16] + val + val  # the sanity check first: two batches
 
 
+@pytest.mark.slow
 def test_random_problems_are_anew_in_each_epoch_of_a_fit(root: str) -> None:
     """The epoch that is drawn for is the Trainer's."""
     model = Model()
@@ -1342,6 +1343,7 @@ def test_cli_takes_several_roots(root: str, tmp_path: Path) -> None:
     assert cli.datamodule.roots == ()
 
 
+@pytest.mark.slow
 def test_cli_checkpoints_come_back(root: str, tmp_path: Path) -> None:
     """A checkpoint of a run by flags loads like any other."""
     flags = [f"--data.root={root}", "--data.batch_size=8", "--data.fields=[map,start,goal,problem]"]

@@ -273,7 +273,7 @@ def test_stored_problems_are_solved_anew(
 
 
 @pytest.mark.parametrize("movement", [Movement(), Movement(8)], ids=["4", "8"])
-@pytest.mark.parametrize("online", [False, True])
+@pytest.mark.parametrize("online", [slow(False), True])
 def test_random_problems_are_sampled_on_the_inflated_map(
     roots: dict[str, str], online: bool, movement: Movement
 ) -> None:

@@ -444,6 +444,7 @@ def test_stored_and_online_maps_have_the_same_jitter(tmp_path: Path) -> None:
     samples.assert_same(stored.__getitems__(indices).batch, online.__getitems__(indices).batch)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [0, 2])
 def test_jitter_is_for_training_alone_and_resumes(workers: int) -> None:
     """Validation and test have the pictures of `Tiles` without it; workers change nothing."""

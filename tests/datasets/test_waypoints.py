@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import torch
 from helpers import samples, taut_reference
-from helpers.examples import slow
 from torch.utils.data import DataLoader
 
 from mapdata import (
@@ -114,7 +113,8 @@ def test_paths_of_planners_have_the_points_of_the_field(family: str, movement: M
     assert refused < 20
 
 
-@pytest.mark.parametrize("augment", [False, slow(True)])
+@pytest.mark.slow
+@pytest.mark.parametrize("augment", [False, True])
 def test_lines_for_a_robot_avoid_the_obstacles_of_the_map_that_is_not_inflated(
     root: str, augment: bool
 ) -> None:

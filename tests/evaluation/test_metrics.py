@@ -606,6 +606,7 @@ def test_a_model_in_place_of_its_planners_is_refused() -> None:
         evaluate([SimpleNamespace(name="model")], three())
 
 
+@pytest.mark.slow
 def test_the_interval_of_a_share_is_close_to_the_normal_interval() -> None:
     """For a share the percentile interval is close to the normal one, and the same with the same
     seed.
@@ -783,6 +784,7 @@ def test_the_script_takes_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "connectivity=4" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_script_takes_files_of_problems(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

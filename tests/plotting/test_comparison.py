@@ -98,6 +98,7 @@ def crowded(request: pytest.FixtureRequest) -> Axes:
     return axes
 
 
+@pytest.mark.slow
 def test_no_label_covers_another_or_a_mark(crowded: Axes) -> None:
     """Even where most marks lie at nearly one place; and all are inside the axes."""
     boxes = [Text.get_window_extent(label) for label in labels_of(crowded).values()]
@@ -148,6 +149,7 @@ def test_planners_of_one_family_are_joined_by_the_order_of_their_parameter() -> 
     assert set(labels_of(axes)) == {"w (0.5)", "9", "10", "w (fast)", "v (3)"}
 
 
+@pytest.mark.slow
 def test_own_planners_have_colours_of_their_own() -> None:
     """The others are grey and not filled."""
     axes = plot_planners(table_of(CROWDED), own=OWN)
@@ -184,6 +186,7 @@ def test_a_subset_without_problems_is_an_empty_figure() -> None:
     assert "not shown" not in axes.get_xlabel()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [1.0, 1.3, 2.5, 6, 40, 700, 30_000])
 @pytest.mark.parametrize("width", [3.75, 7])
 def test_labels_of_ticks_do_not_cover_each_other(ratio: float, width: float) -> None:

@@ -64,6 +64,7 @@ def test_gallery_draws_the_maps(small: DatasetStatistics) -> None:
     assert_tidy(figure_of(axes[0]))
 
 
+@pytest.mark.slow
 def test_distributions_draw_every_value(small: DatasetStatistics) -> None:
     """The bars of a histogram count all maps or segments."""
     axes = plot_distributions(small)

@@ -341,6 +341,7 @@ def test_several_resolutions_are_all_named(tmp_path: Path) -> None:
     assert found == ["0.05/0.1", "0.1"]
 
 
+@pytest.mark.slow
 def test_the_security_policy_has_the_hashes_of_script_and_style(root: Path) -> None:
     """The hashes are those that browsers compute; after a change of the script or style the policy
     must be updated.
@@ -352,6 +353,7 @@ def test_the_security_policy_has_the_hashes_of_script_and_style(root: Path) -> N
         assert f"{tag}-src 'sha256-{digest}';" in page
 
 
+@pytest.mark.slow
 def test_a_sample_is_evenly_spaced(root: Path) -> None:
     """The page says how many maps of the dataset it shows."""
     assert f"3 of {len(dataset_statistics(root)):,} maps, evenly spaced." in report(root, maps=3)
@@ -365,6 +367,7 @@ def test_command_refuses_no_maps(root: Path, capsys: pytest.CaptureFixture[str])
     assert "maps: got 0, expected an integer of at least 1" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_charts_have_a_text_of_their_statistics(root: Path) -> None:
     """Each distribution has a picture, and the same text as its caption and as its alternative
     text.

@@ -254,6 +254,7 @@ def test_colours_are_those_of_okabe_and_ito() -> None:
     assert {colour.lower() for colour in (*COLOURS.values(), *PALETTE)} <= OKABE_ITO
 
 
+@pytest.mark.slow
 def test_matplotlib_is_imported_when_drawing() -> None:
     """The import of the module alone does not load matplotlib."""
     names = ", ".join(f"mapdata.{name}" for name in ("plotting", "shards"))

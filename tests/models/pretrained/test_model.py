@@ -64,6 +64,7 @@ def test_a_file_of_an_earlier_version_is_refused_with_the_way_to_convert_it(
         assert torch.equal(converted.state_dict()[name].half(), weight)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*does not have many workers which may be a bottleneck")
 @pytest.mark.filterwarnings("ignore:.*isinstance.treespec, LeafSpec.* is deprecated")
 def test_a_model_is_not_trained_on_another_movement_than_its_own() -> None:

@@ -551,6 +551,7 @@ def test_no_terrain_is_terrain_of_ones() -> None:
         random_model().predict(drawn.grids, drawn.goals, ones)
 
 
+@pytest.mark.slow
 def test_plans_on_terrain_are_scored_on_terrain() -> None:
     """`evaluate` gives terrain to the planners of a network on terrain alone; both find paths."""
     drawn = ProblemSet.sample(HILLS, 8, 20, movement=Movement(8))
@@ -991,6 +992,7 @@ class OtherDataModule(pl.LightningDataModule):
         return DataLoader(OnlineMapDataset(DUNGEON, 5, 4, movement=Movement(8)), 4)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_validation_loads_the_weights(script: Callable[[list[str]], None]) -> None:
     """``--start_from`` loads weights for ``validate``, too, and any data module will do."""

@@ -214,6 +214,7 @@ def plain_bottlenecks(
     return selected, price
 
 
+@pytest.mark.slow
 def test_bottlenecks_are_those_of_the_published_code() -> None:
     """All edges of the path are dear, those of start and goal, too, and the bottlenecks are those
     at the last price, which is above 10.
@@ -228,6 +229,7 @@ def test_bottlenecks_are_those_of_the_published_code() -> None:
         assert last_price > 10
 
 
+@pytest.mark.slow
 def test_near_optimal_paths() -> None:
     """All paths are valid and within the slack, and the first one is the shortest. With enough
     slack some path goes through the other door.
@@ -259,6 +261,7 @@ def test_a_problem_without_a_path_has_no_near_optimal_paths() -> None:
     assert near_optimal_paths(grid, np.array([0, 0]), np.array([0, 2]), Mining(), 0) == []
 
 
+@pytest.mark.slow
 def test_the_bank_is_mined_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A second data module reads the file that the first one wrote. The bank has the targets of
     each problem under its number, and a bank of another mining is another file.
