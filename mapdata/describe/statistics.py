@@ -256,9 +256,9 @@ def _grid_columns(maps: Maps, hash_maps: bool) -> dict[str, Array]:
         stack = MapStack.of(maps, batch)
         free.append(1 - stack.grids.mean(axis=(1, 2)))
         if stack.has_terrain:
-            cell_counts[0] += np.bincount(stack.costs.reshape(-1), minlength=256)
+            cell_counts[0] += np.bincount(stack.content.reshape(-1), minlength=256)
         if hash_maps:
-            exact, symmetric = digests_of(stack.costs, is_terrain=stack.has_terrain)
+            exact, symmetric = digests_of(stack.content, is_terrain=stack.has_terrain)
             exact_digests += exact
             symmetric_digests += symmetric
     return {

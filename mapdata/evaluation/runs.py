@@ -49,24 +49,6 @@ class Run(NamedTuple):
     other_costs_batched: int
 
 
-class _Measured(NamedTuple):
-    """The numbers of a planner's answer to one problem.
-
-    Attributes:
-        cost: cost L of the path, NaN for a failure.
-        expansions: number of expansions E.
-        prepared: number of prepared cells.
-        looks: number of visited cells.
-        ms: milliseconds that `plan` took.
-    """
-
-    cost: float
-    expansions: float
-    prepared: float
-    looks: float
-    ms: float
-
-
 def _takes_terrain(planner: Planner) -> bool:
     """Return whether a planner takes terrain, as `Planner` defines it."""
     method = planner.plan_batch if isinstance(planner, BatchPlanner) else planner.plan
@@ -92,28 +74,24 @@ def run_planner(planner: Planner, problems: ProblemSet, advance: Advance) -> Run
 
     ``advance`` is called with numbers of solved problems.
     """
-    measured = []
+    costs, expansions, prepared, looks, ms = np.empty((5, len(problems)))
     refusals = {}
     for k in range(len(problems)):
-        plan, ms = _timed_plan(planner, problems, k)
-        cost, reason = cost_of_path(plan.path, problems, k)
+        plan, ms[k] = _timed_plan(planner, problems, k)
+        costs[k], reason = cost_of_path(plan.path, problems, k)
         if reason:
             refusals[k] = reason
-        looks = plan.expansions if plan.looks is None else plan.looks
-        measured.append(
-            _Measured(cost, float(plan.expansions), float(plan.prepared), float(looks), ms)
-        )
+        expansions[k] = plan.expansions
+        prepared[k] = plan.prepared
+        looks[k] = plan.expansions if plan.looks is None else plan.looks
         advance(1)
-    costs, expansions, prepared, looks_of_all, times = np.array(measured).T
     ms_batched = np.empty(0)
     other_costs_batched = 0
     if isinstance(planner, BatchPlanner):
         ms_batched, batched_costs = _run_batched(planner, problems, advance)
         is_other_cost = ~np.isclose(batched_costs, costs, equal_nan=True)
         other_costs_batched = int(is_other_cost.sum())
-    return Run(
-        costs, refusals, expansions, prepared, looks_of_all, times, ms_batched, other_costs_batched
-    )
+    return Run(costs, refusals, expansions, prepared, looks, ms, ms_batched, other_costs_batched)
 
 
 def _run_batched(
@@ -138,7 +116,7 @@ def _run_batched(
 
 def _map_of(problems: ProblemSet, k: int) -> tuple[Bytes, Bytes | None]:
     """Return copies of the grid and the terrain of problem ``k``, each (H, W)."""
-    return MapStack(*problems.maps_of([k])).select(0)
+    return MapStack(*problems.maps_of([k])).grid_and_terrain(0)
 
 
 def cost_of_path(path: npt.ArrayLike | None, problems: ProblemSet, k: int) -> tuple[float, str]:

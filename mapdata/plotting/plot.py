@@ -303,7 +303,7 @@ def plot_grid_of_map(labels: Labels, i: int, axes: Axes | None, paper_colours: b
     """Draw the grid of map ``i``, and its terrain if it has any."""
     from mapdata.search.map_stack import MapStack
 
-    grid, terrain = MapStack.of(labels.maps, np.array([i])).select(0)
+    grid, terrain = MapStack.of(labels.maps, np.array([i])).grid_and_terrain(0)
     return plot_grid(grid, axes, paper_colours=paper_colours, terrain=terrain)
 
 

@@ -182,7 +182,7 @@ def _search_segment(labels: Labels, i: int, segment: int) -> list[SearchOrder]:
     """Search a segment of map ``i`` again, by BFS and by A*."""
     maps = labels.maps
     start, goal = maps.seed_points[i, segment : segment + 2]
-    grid, terrain = MapStack.of(maps, np.array([i])).select(0)
+    grid, terrain = MapStack.of(maps, np.array([i])).grid_and_terrain(0)
     return [
         search_order(grid, start, goal, maps.movement, search, terrain=terrain)
         for search in SEARCHES

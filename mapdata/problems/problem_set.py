@@ -358,7 +358,7 @@ class ProblemSet:
         more than 1 GiB, or many large and nearly empty maps.
         """
         stored = StoredSet(
-            self._maps.costs,
+            self._maps.content,
             self.has_terrain,
             self.map_indices,
             self.starts,

@@ -60,15 +60,19 @@ class MapStack(NamedTuple):
         """Whether the maps have terrain."""
         return self.terrain is not None
 
-    def select(self, rows: Flags | Ints | slice | int) -> MapStack:
-        """Return the maps that ``rows`` selects; of one map, its grid and terrain (H, W)."""
+    def select(self, rows: Flags | Ints | slice) -> MapStack:
+        """Return the maps that ``rows`` selects."""
         return MapStack(self.grids[rows], None if self.terrain is None else self.terrain[rows])
 
-    def overwrite(self, rows: Ints, others: MapStack, places: Ints) -> None:
-        """Replace map ``rows[k]`` by map ``places[k]`` of others, in these arrays themselves."""
-        self.grids[rows] = others.grids[places]
-        if self.terrain is not None:
-            self.terrain[rows] = others.costs[places]
+    def grid_and_terrain(self, row: int) -> tuple[Bytes, Bytes | None]:
+        """Return the grid and the terrain of one map, each (H, W)."""
+        return self.grids[row], None if self.terrain is None else self.terrain[row]
+
+    def overwrite(self, rows: Ints, others: MapStack, rows_of_others: Ints) -> None:
+        """Replace map ``rows[k]`` by map ``rows_of_others[k]`` of others, in these arrays."""
+        self.grids[rows] = others.grids[rows_of_others]
+        if self.terrain is not None and others.terrain is not None:
+            self.terrain[rows] = others.terrain[rows_of_others]
 
     def with_grids(self, grids: Bytes) -> MapStack:
         """Return these maps after inflation, which made ``grids``, (B, H, W), of their grids."""
@@ -90,8 +94,8 @@ class MapStack(NamedTuple):
         return as_ground(self.grids, self.terrain)
 
     @property
-    def costs(self) -> Bytes:
-        """(B, H, W) uint8, the terrain, or the grids of maps without it."""
+    def content(self) -> Bytes:
+        """(B, H, W) uint8, what the maps are known by: the terrain, or without it the grids."""
         return self.grids if self.terrain is None else self.terrain
 
     @property
