@@ -6,14 +6,15 @@ A `Batch` has maps, starts and goals; its fields are computed when they are aske
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Protocol
 
 import numpy as np
 from torch.utils.data import get_worker_info
 
-from mapdata.arrays import Bytes, Ints
+from mapdata.arrays import Bytes, Flags, Ints
 from mapdata.datasets.arguments import Serving
-from mapdata.datasets.fields import Batch, Rooms, room_matrices
+from mapdata.datasets.fields import Batch, Rooms, no_known_paths, room_matrices
 from mapdata.datasets.map_sources import MapSource, StoredMapSource
 from mapdata.limits import Size
 from mapdata.movement import Movement
@@ -117,31 +118,32 @@ class StoredSource:
     def batch_of(self, indices: Ints, epoch: int, advance: Advance) -> Batch:
         """Return problems, which are the same in all epochs."""
         del epoch, advance
-        return self.stored(indices if self.selected is None else self.selected[indices])
+        return self.batch_of_numbers(indices if self.selected is None else self.selected[indices])
 
-    def stored(self, numbers: Ints) -> Batch:
+    def batch_of_numbers(self, numbers: Ints) -> Batch:
         """Return problems by their numbers among all that are stored."""
         reader = self._maps.reader
-        stored = reader.locate(numbers)
-        stored_grids = reader.grids(stored)
+        located = reader.locate(numbers)
+        stored_grids = reader.grids(located)
         # Without a radius they are the stored ones themselves.
         grids = MapStack(stored_grids, None).inflated(self._maps.min_clearance).grids
-        batch = _batch_on(
+        compute_paths: Callable[[str], Paths | None] = no_known_paths
+        if isinstance(self._serving.problems, Route) and self._maps.labels_serve:
+            # The batch asks for the paths of the search that its fields need.
+            compute_paths = partial(reader.paths, located)
+        return _batch_on(
             self._maps,
             self._serving,
             self.movement,
             numbers,
             places=numbers,
             grids=grids,
-            starts=reader.seed_points(stored, stored.first_rooms),
-            goals=reader.seed_points(stored, stored.second_rooms),
-            compute_map_numbers=lambda: reader.map_numbers(stored),
-            compute_stored_maps=lambda: reader.stored_maps(stored, stored_grids),
+            starts=reader.seed_points(located, located.first_rooms),
+            goals=reader.seed_points(located, located.second_rooms),
+            compute_map_numbers=lambda: reader.map_numbers(located),
+            compute_stored_maps=lambda: reader.stored_maps(located, stored_grids),
+            compute_paths=compute_paths,
         )
-        if isinstance(self._serving.problems, Route) and self._maps.labels_serve:
-            # The batch asks for the paths of the search that its fields need.
-            batch.compute_paths = lambda search: reader.paths(stored, search)
-        return batch
 
     def own_maps(self, indices: Ints) -> None:
         """Return None: the problems are not drawn."""
@@ -149,7 +151,10 @@ class StoredSource:
 
 
 class DrawnSource:
-    """Problems that are drawn anew in each epoch, each on its own map or on a substitute."""
+    """Problems that are drawn, each on its own map or, if that has none, on a substitute.
+
+    A problem is a function of the seed, the epoch and its number alone.
+    """
 
     def __init__(
         self, maps: MapSource, serving: Serving, movement: Movement, count: int, *, draws_anew: bool
@@ -197,34 +202,11 @@ class DrawnSource:
         Raises:
             ValueError: a problem is on none of as many maps as `most_maps` allows.
         """
-        places = indices // self._drawing.source.per_map
-        drawn = self._on_own_maps(places, indices, epoch, advance)
-        most = most_maps(self._drawing.source, self.map_size, self._drawing.attempts)
-        search = Search(self._drawing, most, len(indices), is_silent=_is_silent(advance))
-        search.take(search.missing, 1, np.flatnonzero(drawn.has_problem))
-        while len(search.missing):
-            rows = search.next_rows(self._maps_at_once)
-            row = search.first_in_vain(rows)
-            if row is not None:
-                tried = self._maps.tried_text(most)
-                raise search.error(f"{tried} for problem {indices[row]} of epoch {epoch}")
-            ahead = self._maps_ahead(search, rows)
-            tried_rows = np.repeat(rows, ahead)
-            numbers = search.tried[tried_rows] + np.tile(np.arange(ahead), len(rows))
-            substitutes = self._maps.substitutes(indices[tried_rows], epoch, numbers)
-            # A substitute has draws of its own, those of a problem beyond the end of the dataset.
-            others = self._draw(substitutes, indices[tried_rows] + numbers * self._count, epoch)
-            advance(len(substitutes))
-            successes = np.flatnonzero(others.has_problem)
-            found, first_successes = np.unique(tried_rows[successes], return_index=True)
-            missing_count = len(search.missing)
-            search.take(rows, ahead, found)
-            _say_if_long(search, missing_count)
-            if len(found):
-                found_at = successes[first_successes]
-                places[found] = substitutes[found_at]
-                drawn = drawn.replaced(found, others, found_at)
-        batch = _batch_on(
+        own_places = indices // self._drawing.source.per_map
+        on_own_maps = self._on_own_maps(own_places, indices, epoch, advance)
+        drawn, places = self._with_substitutes(on_own_maps, own_places, indices, epoch, advance)
+        served_search = self._serving.search
+        return _batch_on(
             self._maps,
             self._serving,
             self.movement,
@@ -235,10 +217,53 @@ class DrawnSource:
             goals=drawn.goals,
             compute_map_numbers=lambda: drawn.numbers,
             compute_stored_maps=lambda: drawn.stored,
+            compute_paths=lambda search: drawn.paths if search == served_search else None,
         )
-        if drawn.paths is not None:
-            batch.paths = drawn.paths
-        return batch
+
+    def _with_substitutes(
+        self, drawn: Drawn, places: Ints, indices: Ints, epoch: int, advance: Advance
+    ) -> tuple[Drawn, Ints]:
+        """Return the problems, and the places of their maps, with the missing ones on substitutes.
+
+        Each missing problem is drawn on its first substitute that has one.
+
+        Args:
+            drawn: the problems on their own maps; its arrays are changed.
+            places: (B,) places of these maps.
+            indices: (B,) numbers of the problems.
+            epoch: pass over the data.
+            advance: called with the number of maps on which problems were sought just now.
+        """
+        places = places.copy()
+        most = most_maps(self._drawing.source, self.map_size, self._drawing.attempts)
+        search = Search(self._drawing, most, is_silent=_is_silent(advance))
+        missing = MissingProblems(~drawn.has_problem, most)
+        while len(missing.rows):
+            rows = missing.next_rows(self._maps_at_once)
+            row = missing.first_in_vain(rows)
+            if row is not None:
+                tried = self._maps.tried_text(most)
+                raise search.error(f"{tried} for problem {indices[row]} of epoch {epoch}")
+            # One try for each problem and substitute; those of a problem stand together, in order.
+            tries_each = self._substitutes_at_once(missing, rows)
+            row_of_try = np.repeat(rows, tries_each)
+            # The own map was the first that was tried, so substitutes are numbered from 1 on.
+            numbers = missing.tried[row_of_try] + np.tile(np.arange(tries_each), len(rows))
+            substitutes = self._maps.substitutes(indices[row_of_try], epoch, numbers)
+            # A substitute has draws of its own, those of a problem beyond the end of the dataset.
+            others = self._draw(substitutes, indices[row_of_try] + numbers * self._count, epoch)
+            advance(len(substitutes))
+            successes = np.flatnonzero(others.has_problem)
+            # The first success of each problem.
+            found, first = np.unique(row_of_try[successes], return_index=True)
+            first_successes = successes[first]
+            missing_count = len(missing.rows)
+            missing.note(rows, tries_each, found)
+            _say_if_long(search, missing, missing_count)
+            if len(found):
+                places[found] = substitutes[first_successes]
+                drawn = drawn.overwritten(found, others, first_successes)
+        return drawn, places
 
     def _draw(self, places: Ints, keys: Ints, epoch: int) -> Drawn:
         """Draw a problem on each of the maps at these places."""
@@ -255,7 +280,7 @@ class DrawnSource:
             advance(len(indices[part]))
         return Drawn.joined(parts)
 
-    def _maps_ahead(self, search: Search, rows: Ints) -> int:
+    def _substitutes_at_once(self, missing: MissingProblems, rows: Ints) -> int:
         """Return how many substitutes of each of the problems ``rows`` are tried at once.
 
         On large maps with terrain it is one: a cost may be too high, which raises an error, and a
@@ -263,11 +288,69 @@ class DrawnSource:
         """
         if self.has_terrain and may_have_high_costs(self.map_size):
             return 1
-        return search.maps_ahead(rows, self._maps_at_once)
+        return missing.substitutes_at_once(rows, self._maps_at_once)
 
     def own_maps(self, indices: Ints) -> Ints:
         """Return the numbers of the maps on which problems are drawn first."""
         return self._maps.map_indices(indices // self._drawing.source.per_map)
+
+
+class MissingProblems:
+    """The problems of a batch that were not found on their own maps, while substitutes are tried.
+
+    Attributes:
+        tried: (B,) int64, on how many maps each problem of the batch was sought.
+        rows: (M,) int64, the problems that were not found yet, ascending.
+    """
+
+    def __init__(self, is_missing: Flags, most: int) -> None:
+        """Begin after the own maps.
+
+        Args:
+            is_missing: (B,), which problems are not on their own maps.
+            most: on how many maps a problem is sought.
+        """
+        self.tried = np.ones(len(is_missing), np.int64)
+        self.rows = np.flatnonzero(is_missing)
+        self._most = most
+        self._failed_in_a_row = 0  # substitutes since the last success, of whichever problem
+
+    def next_rows(self, max_maps: int) -> Ints:
+        """Return the problems to seek next, on at most ``max_maps`` maps.
+
+        After many failures in a row this is the first missing problem alone. So the error comes
+        when one problem has been sought in vain, not when all of a batch have been.
+        """
+        is_batch = self._failed_in_a_row < self._most // 8
+        return self.rows[: max_maps if is_batch else 1]
+
+    def substitutes_at_once(self, rows: Ints, max_maps: int) -> int:
+        """Return on how many substitutes each of the problems ``rows`` is sought at once.
+
+        They are at most an eighth of the maps on which each was sought, so that little work is done
+        in vain.
+        """
+        tried = self.tried[rows]
+        eighth = int(tried.min()) // 8
+        remaining = self._most - int(tried.max())
+        return max(min(eighth, remaining, max_maps // len(rows)), 1)
+
+    def first_in_vain(self, rows: Ints) -> int | None:
+        """Return the first of the problems ``rows`` that was sought on enough maps, if any."""
+        in_vain = rows[self.tried[rows] >= self._most]
+        return int(in_vain[0]) if len(in_vain) else None
+
+    def note(self, rows: Ints, tries_each: int, found: Ints) -> None:
+        """Note that problems ``rows`` were sought, and that those in ``found`` were found.
+
+        Args:
+            rows: (R,) the problems.
+            tries_each: on how many substitutes each of them was sought.
+            found: ascending.
+        """
+        self._failed_in_a_row = 0 if len(found) else self._failed_in_a_row + tries_each * len(rows)
+        self.tried[rows] += tries_each
+        self.rows = np.setdiff1d(self.rows, found, assume_unique=True)
 
 
 class SetSource:
@@ -297,19 +380,19 @@ class SetSource:
         del epoch, advance
         problem_set = self._problem_set
         search = self._serving.search
-        numbers = problem_set.map_indices[indices]
+        map_numbers = problem_set.map_indices[indices]
         maps = MapStack(*problem_set.maps_of(indices))
         starts = problem_set.starts[indices]
         goals = problem_set.goals[indices]
 
         def compute_rooms() -> Rooms:
             seed_points = np.stack((starts, goals), axis=1)
-            matrices = room_matrices(search, numbers, maps, seed_points, self.movement)
+            matrices = room_matrices(search, map_numbers, maps, seed_points, self.movement)
             return Rooms(matrices, seed_points)
 
-        def compute_paths(search: str) -> Paths | None:
-            if search != "astar":
-                return None
+        def compute_paths(wanted_search: str) -> Paths | None:
+            if wanted_search != "astar":
+                return None  # the set has the paths of A* alone
             optimal = selected_paths(problem_set.optimal, indices)
             return Paths(optimal.cells, optimal.offsets, optimal.iterations)
 
@@ -320,9 +403,9 @@ class SetSource:
             starts=starts,
             goals=goals,
             problems=problem_set.problem_numbers[indices],
-            compute_map_indices=numbers.copy,
+            compute_map_indices=map_numbers.copy,  # a field, which users may write to
             compute_rooms=compute_rooms,
-            compute_map_numbers=lambda: numbers,
+            compute_map_numbers=lambda: map_numbers,
             compute_stored_maps=lambda: maps,
             symmetries=np.zeros(len(indices), np.int64),
             requested_fields=self._serving.names,
@@ -348,6 +431,7 @@ def _batch_on(
     goals: Ints,
     compute_map_numbers: Callable[[], Ints],
     compute_stored_maps: Callable[[], MapStack],
+    compute_paths: Callable[[str], Paths | None],
 ) -> Batch:
     """Return problems as a batch whose paths and rooms are computed when they are needed.
 
@@ -362,6 +446,7 @@ def _batch_on(
         goals: (B, 2) cells.
         compute_map_numbers: returns the numbers of the maps, for errors.
         compute_stored_maps: returns the maps before inflation.
+        compute_paths: returns the paths of "bfs" or "astar", or None if they must be searched.
     """
     search = serving.search
 
@@ -391,6 +476,7 @@ def _batch_on(
         symmetries=np.zeros(len(indices), np.int64),
         requested_fields=serving.names,
         max_length=serving.max_length,
+        compute_paths=compute_paths,
         radius_cells=maps.radius_cells,
         has_terrain=maps.has_terrain,
     )
@@ -406,17 +492,18 @@ def _is_silent(advance: Advance) -> bool:
     )
 
 
-def _say_if_long(search: Search, missing_count: int) -> None:
+def _say_if_long(search: Search, missing: MissingProblems, missing_before: int) -> None:
     """Say once in each process that a batch takes long.
 
     Args:
         search: for the problems of the batch.
-        missing_count: number of problems that were not found on the maps before the last ones.
+        missing: on how many maps each of them was tried.
+        missing_before: number of problems that were not found on the maps before the last ones.
     """
-    count = len(search.tried)
-    failed = int(search.tried.sum()) - count
+    count = len(missing.tried)
+    failed = int(missing.tried.sum()) - count
     state = (
-        f"no such problem at {failed:,} tries on a map, and {missing_count:,} of {count:,} "
+        f"no such problem at {failed:,} tries on a map, and {missing_before:,} of {count:,} "
         "problems of a batch still to find; wider conditions are faster"
     )
     if search.say_if_long(failed, state):

@@ -325,7 +325,7 @@ class MapDataset(ProblemDataset):
         selected = self.source.numbers
         matching = []
         for numbers in np.split(selected, range(FILTER_BATCH, len(selected), FILTER_BATCH)):
-            batch = self.source.stored(numbers)
+            batch = self.source.batch_of_numbers(numbers)
             is_match = np.ones(len(numbers), np.bool_)
             for name, condition in conditions.items():
                 quantity = CONDITIONS[name](batch)

@@ -2,7 +2,7 @@
 
 `Drawing.on` draws a problem on each of the maps that it is given. Its caller decides which maps
 these are: a dataset takes another map in place of one without a problem, and a problem set leaves
-the map out. A `Search` counts the maps that were tried, and ends in an error after many of them.
+the map out. A `Search` says that this takes long, and has the error after many maps in vain.
 
 To draw problems of another source, write its class in `mapdata.problems.sources`, and add a
 function to `_DRAWN_BY` here. docs/format.md, section 6, defines the draws.
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -97,8 +97,8 @@ class Paths(NamedTuple):
         offsets = offsets_of(lengths)
         # Path m moves from self.offsets[rows[m]] to offsets[m].
         shifts = self.offsets[rows] - offsets[:-1]
-        places = np.arange(offsets[-1]) + np.repeat(shifts, lengths)
-        return Paths(self.cells[places], offsets, self.iterations[rows])
+        rows_of_cells = np.arange(offsets[-1]) + np.repeat(shifts, lengths)
+        return Paths(self.cells[rows_of_cells], offsets, self.iterations[rows])
 
 
 class Drawn(NamedTuple):
@@ -155,21 +155,23 @@ class Drawn(NamedTuple):
         maps = self.maps.select(rows)
         return Drawn(self.numbers[rows], maps, maps, self.ends[rows])
 
-    def replaced(self, rows: Ints, others: Drawn, places: Ints) -> Drawn:
-        """Return these problems with number ``rows[k]`` replaced by number ``places[k]`` of others.
+    def overwritten(self, rows: Ints, others: Drawn, rows_of_others: Ints) -> Drawn:
+        """Return these problems with ``rows[k]`` replaced by ``rows_of_others[k]`` of others.
 
-        The arrays are changed in place; paths are copied.
+        The arrays of these problems are changed themselves, so that they are no longer of use;
+        paths are new.
         """
-        self.numbers[rows] = others.numbers[places]
-        self.ends[rows] = others.ends[places]
-        self.stored.overwrite(rows, others.stored, places)
+        self.numbers[rows] = others.numbers[rows_of_others]
+        self.ends[rows] = others.ends[rows_of_others]
+        self.stored.overwrite(rows, others.stored, rows_of_others)
         if self.maps is not self.stored:
-            self.maps.overwrite(rows, others.maps, places)
+            self.maps.overwrite(rows, others.maps, rows_of_others)
         if self.paths is None or others.paths is None:
             return self
-        order = np.arange(len(self.ends))
-        order[rows] = len(order) + places
-        return self._replace(paths=Paths.joined([self.paths, others.paths]).select(order))
+        both = Paths.joined([self.paths, others.paths])
+        kept_or_new = np.arange(len(self.ends))
+        kept_or_new[rows] = len(self.ends) + rows_of_others  # in ``both`` the others come last
+        return self._replace(paths=both.select(kept_or_new))
 
 
 @dataclass(frozen=True)
@@ -218,7 +220,8 @@ def _draw_random(
     source = drawing.source
     assert isinstance(source, Random)
     goals = None
-    if given.seed_points is not None and source.to_first_seed_point:
+    if source.to_first_seed_point:
+        assert given.seed_points is not None  # since `needs_seed_points` of the source is true
         goals = np.ascontiguousarray(given.seed_points[:, 0])
     # Without conditions the costs of cells do not matter, as no move costs less than 1.
     has_conditions = source.conditions != Random().conditions
@@ -264,7 +267,16 @@ def _draw_pairs(
     return ends, Paths(solved.cells, solved.offsets, solved.expansions)
 
 
-_DRAWN_BY: dict[type[Any], Callable[..., tuple[Ints, Paths | None]]] = {
+DrawFunction: TypeAlias = Callable[
+    [Drawing, GivenMaps, MapStack, Ints, int], tuple[Ints, Paths | None]
+]
+"""Draws a problem on each of B maps.
+
+It takes what a problem depends on, the maps before and after inflation, the keys, and the epoch. It
+returns the cells of starts and goals (B, 4), and the paths if it needed them.
+"""
+
+_DRAWN_BY: dict[type[Any], DrawFunction] = {
     Random: _draw_random,
     Route: _draw_pairs,
     Pairs: _draw_pairs,
@@ -273,66 +285,18 @@ _DRAWN_BY: dict[type[Any], Callable[..., tuple[Ints, Paths | None]]] = {
 
 
 class Search:
-    """A search for problems on one map after another: what is missing, and when it is in vain.
-
-    A dataset seeks each problem of a batch on maps of its own. A problem set seeks one problem, on
-    the first maps.
+    """A search for problems on one map after another: when to say that it is long, and its error.
 
     Attributes:
         most: on how many maps a problem is sought before there is an error.
-        tried: (B,) int64, on how many maps each problem was sought.
-        missing: (M,) int64, the problems that were not found yet, ascending.
         is_silent: whether nothing is said of a long search, any more or at all.
     """
 
-    def __init__(
-        self, drawing: Drawing, most: int, count: int = 1, *, is_silent: bool = False
-    ) -> None:
-        """Begin a search for ``count`` problems, before the first map."""
+    def __init__(self, drawing: Drawing, most: int, *, is_silent: bool = False) -> None:
+        """Begin a search, before the first map."""
         self._drawing = drawing
         self.most = most
-        self.tried = np.zeros(count, np.int64)
-        self.missing = np.arange(count)
         self.is_silent = is_silent
-        # Maps since the last success, whichever problem was sought there, but for its first map.
-        self._failed_in_a_row = 0
-
-    def take(self, rows: Ints, maps_each: int, found: Ints) -> None:
-        """Take in that problems ``rows`` were sought on further maps, and which were found there.
-
-        Args:
-            rows: (R,) numbers of problems.
-            maps_each: on how many maps each of them was sought.
-            found: those that were found, ascending.
-        """
-        failed = maps_each * int(np.count_nonzero(self.tried[rows]))
-        self._failed_in_a_row = 0 if len(found) else self._failed_in_a_row + failed
-        self.tried[rows] += maps_each
-        self.missing = np.setdiff1d(self.missing, found, assume_unique=True)
-
-    def next_rows(self, max_maps: int) -> Ints:
-        """Return the problems to seek next, on at most ``max_maps`` maps.
-
-        After many failures in a row this is the first missing problem alone. So the error comes
-        when one problem has been sought in vain, not when all of a batch have been.
-        """
-        is_batch = self._failed_in_a_row < self.most // 8
-        return self.missing[: max_maps if is_batch else 1]
-
-    def maps_ahead(self, rows: Ints, max_maps: int) -> int:
-        """Return on how many further maps each of the problems ``rows`` is sought at once.
-
-        They are at most an eighth of those that have failed, so that little work is done in vain.
-        """
-        tried = self.tried[rows]
-        eighth = int(tried.min()) // 8
-        remaining = self.most - int(tried.max())
-        return max(min(eighth, remaining, max_maps // len(rows)), 1)
-
-    def first_in_vain(self, rows: Ints) -> int | None:
-        """Return the first of the problems ``rows`` that was sought on enough maps, if any."""
-        in_vain = rows[self.tried[rows] >= self.most]
-        return int(in_vain[0]) if len(in_vain) else None
 
     def say_if_long(self, failed: float, state: str) -> bool:
         """Write on stderr, once, that a search takes long; return whether this was said now.

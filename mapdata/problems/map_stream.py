@@ -83,7 +83,6 @@ def draw_problems(
     check_possible(source, stream.size, drawing.movement, has_terrain=stream.has_terrain)
     most = most_maps(source, stream.size, drawing.attempts * source.per_map)
     search = Search(drawing, most, is_silent=progress)  # a bar says more
-    first_problem = search.missing
     parts: list[Drawn] = []
     tried = 0  # maps
     found = 0  # problems
@@ -95,7 +94,6 @@ def draw_problems(
             part = drawn.on_served_maps(np.flatnonzero(drawn.has_problem))
             tried += maps_in_part
             found += len(part.ends)
-            search.take(first_problem, maps_in_part, first_problem[: len(part.ends)])
             if until_hard is not None:
                 part, hard_in_part = _until_hard(part, until_hard - hard_count, drawing.movement)
                 hard_count += hard_in_part
@@ -107,7 +105,7 @@ def draw_problems(
                 f"{found:,} found on {tried:,} of {stream.count:,} maps; progress=True shows a "
                 "bar, and wider conditions are faster",
             )
-            is_in_vain = search.first_in_vain(search.missing) is not None
+            is_in_vain = found == 0 and tried >= most
             if hard_count == until_hard or (is_in_vain and stream.are_alike):
                 break
     if not parts:

@@ -21,7 +21,6 @@ from mapdata import (
     Forest,
     MapDataModule,
     MapDataset,
-    Movement,
     OnlineMapDataset,
     ProblemSet,
     Random,
@@ -30,10 +29,10 @@ from mapdata import (
     generate,
 )
 from mapdata.datasets import batch_sources
+from mapdata.datasets.batch_sources import MissingProblems
 from mapdata.datasets.problem_dataset import ProblemDataset
 from mapdata.formats import Collection, ForeignMap, import_maps
 from mapdata.limits import SPLITS
-from mapdata.problems.drawing import DRAWS, Drawing, Search
 from mapdata.problems.substitutes import may_have_high_costs
 
 WALLS = Forest((9, 8), cover=(0.3, 0.5), sizes=(1, 1), splits=(0.5, 0.2, 0.3))
@@ -196,7 +195,7 @@ def test_maps_that_are_tried_at_once_change_nothing(monkeypatch: pytest.MonkeyPa
 
     at_once = dataset()[:]
     with monkeypatch.context() as patch:
-        patch.setattr(Search, "maps_ahead", lambda *_: 1)
+        patch.setattr(MissingProblems, "substitutes_at_once", lambda *_: 1)
         assert_same(dataset()[:], at_once)
     substitutes = (at_once.map_index - torch.arange(30)) // 30
     last = int(substitutes.argmax())
@@ -290,10 +289,9 @@ def test_terrain_has_the_same_end(problems: Random, monkeypatch: pytest.MonkeyPa
 
 def test_many_maps_of_terrain_are_tried_at_once() -> None:
     """Small ones, on which no cost is too high; one after another they would take minutes."""
-    asked_for = Random(distance=(None, 6))
-    search = Search(Drawing(asked_for, 0, Movement(8), DRAWS), most=10_000)
-    search.tried[:] = 800
-    assert search.maps_ahead(np.array([0]), max_maps=2**15) == 100
+    missing = MissingProblems(np.array([True]), most=10_000)
+    missing.tried[:] = 800
+    assert missing.substitutes_at_once(np.array([0]), max_maps=2**15) == 100
     assert not may_have_high_costs((5, 6))
     assert may_have_high_costs((80, 80))
 

@@ -102,7 +102,7 @@ def test_problems_are_replaced_with_their_maps_and_paths() -> None:
         np.array([[-1] * 4, [0, 1, 1, 1]]),
         paths_of([], [(0, 1), (1, 1)]),
     )
-    mended = drawn.replaced(np.array([1]), others, np.array([1]))
+    mended = drawn.overwritten(np.array([1]), others, np.array([1]))
     assert mended.numbers.tolist() == [7, 21, 9]
     assert mended.has_problem.all()
     assert mended.maps.grids.any(axis=(1, 2)).tolist() == [False, True, False]

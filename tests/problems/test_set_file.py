@@ -95,7 +95,7 @@ def test_maps_that_are_shared_take_the_memory_of_the_different_ones(
     """While a set is saved, loaded, copied, divided, served and scored."""
     count, side = 150, 128
     monkeypatch.setattr("mapdata.problems.problem_set._PART_CELLS", 2**17)
-    monkeypatch.setattr("mapdata.datasets.dataset.keep_freed_memory", lambda: None)
+    monkeypatch.setattr("mapdata.datasets.problem_dataset.keep_freed_memory", lambda: None)
     path = tmp_path / "set.npz"
     # A small set comes first, because what is imported and compiled on first use takes memory.
     for use in uses(walled(10, map_count, 8), path):

@@ -149,13 +149,13 @@ def test_the_problems_of_tiles_lead_from_corner_to_corner() -> None:
     assert problems.goals.tolist() == [[11, 11]] * 5
 
 
-def test_costs_that_are_too_high_are_refused_by_the_number_of_the_map() -> None:
-    """As in a search, for random problems and for routes."""
+@pytest.mark.parametrize(("source", "where"), [("route", "map 0"), ("random", "problem 0")])
+def test_costs_that_are_too_high_are_refused(source: str, where: str) -> None:
+    """Routes are searched as they are drawn, random problems without conditions when all are."""
     long_maze = replace(PRESETS["maze"], map_size=(511, 511))
     generator = Terrain(over=long_maze, costs=(255,))
-    for source in ("route", "random"):
-        with pytest.raises(ValueError, match=r"map 0: terrain: a path costs .*, and costs are"):
-            ProblemSet.sample(generator, 0, 1, problems=source, movement=Movement(8))
+    with pytest.raises(ValueError, match=f"{where}: terrain: a path costs .*, and costs are"):
+        ProblemSet.sample(generator, 0, 1, problems=source, movement=Movement(8))
 
 
 def small_set() -> ProblemSet:
