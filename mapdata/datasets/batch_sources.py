@@ -6,7 +6,6 @@ A `Batch` has maps, starts and goals; its fields are computed when they are aske
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -14,7 +13,7 @@ from torch.utils.data import get_worker_info
 
 from mapdata.arrays import Bytes, Flags, Ints
 from mapdata.datasets.arguments import Serving
-from mapdata.datasets.fields import Batch, Rooms, no_known_paths, room_matrices
+from mapdata.datasets.fields import Batch, Rooms, room_matrices
 from mapdata.datasets.map_sources import MapSource, StoredMapSource
 from mapdata.limits import Size
 from mapdata.movement import Movement
@@ -127,10 +126,11 @@ class StoredSource:
         stored_grids = reader.grids(located)
         # Without a radius they are the stored ones themselves.
         grids = MapStack(stored_grids, None).inflated(self._maps.min_clearance).grids
-        compute_paths: Callable[[str], Paths | None] = no_known_paths
-        if isinstance(self._serving.problems, Route) and self._maps.labels_serve:
-            # The batch asks for the paths of the search that its fields need.
-            compute_paths = partial(reader.paths, located)
+        is_read = isinstance(self._serving.problems, Route) and self._maps.labels_serve
+
+        def compute_paths(search: str) -> Paths | None:
+            return reader.paths(located, search) if is_read else None
+
         return _batch_on(
             self._maps,
             self._serving,

@@ -50,7 +50,7 @@ class Rooms(NamedTuple):
     seed_points: Ints
 
 
-def no_known_paths(search: str) -> None:
+def _no_known_paths(search: str) -> None:
     """Return None: no paths are known of any search."""
     del search
 
@@ -98,7 +98,7 @@ class Batch:
     symmetries: Ints
     requested_fields: tuple[str, ...]
     max_length: int | None = None
-    compute_paths: Callable[[str], Paths | None] = no_known_paths
+    compute_paths: Callable[[str], Paths | None] = _no_known_paths
     radius_cells: float = 0.0
     has_terrain: bool = False
     sampling_seed: int = 0

@@ -607,7 +607,7 @@ def test_build_says_when_its_folder_has_the_name_of_a_preset(
     [
         (
             "build",
-            "mapdata.shards.builder.label",
+            "mapdata.shards.costly_maps.label",
             "take fewer --workers or a smaller --shard-size, ",
         ),
         ("show", "mapdata.plotting.figures.plot_map", ""),

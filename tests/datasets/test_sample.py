@@ -97,6 +97,7 @@ def test_shuffling_loaders_give_the_samples_of_their_sampler(
     assert seen == list(range(len(dataset)))
 
 
+@pytest.mark.filterwarnings("ignore:a second pass over this dataset")
 def test_views_of_torch(dataset: MapDataset | OnlineMapDataset) -> None:
     """Subset, random_split and ConcatDataset hold the same samples, under a plain loader too."""
     chosen = [5, 1, 1, 30, -1]
