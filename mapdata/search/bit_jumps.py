@@ -62,8 +62,16 @@ reads the line before that, too.
 """
 
 _ONE = np.uint64(1)
+_THREE = np.uint64(3)
+_SIX = np.uint64(6)
 _SEVEN = np.uint64(7)
+
 _WORD_BITS = np.uint64(6)
+"""The logarithm of 64, the number of bits in a word, to the base 2."""
+
+_CELLS_AROUND = 9
+"""Number of cells of a square of three by three."""
+
 _LAST_BIT = np.uint64(63)
 _HIGHEST = np.uint64(1 << 63)
 _ONES = np.uint64(0x0101010101010101)
@@ -152,7 +160,7 @@ def jump_memory(shape: tuple[int, int], scratch: Scratch) -> JumpMemory:
     )
 
 
-def _moves_around(kept_moves: Bytes) -> Bytes:
+def _moves_after(kept_moves: Bytes) -> Bytes:
     """Return which moves follow a move, by the nine cells around the end of the move.
 
     Args:
@@ -170,8 +178,8 @@ def _moves_around(kept_moves: Bytes) -> Bytes:
     return kept_moves.reshape(9, 256)[:, neighbours].reshape(-1)
 
 
-_MOVES_AROUND = _moves_around(KEPT_MOVES)
-_MOVES_AROUND_CUTTING_CORNERS = _moves_around(KEPT_MOVES_CUTTING_CORNERS)
+_MOVES_AFTER = _moves_after(KEPT_MOVES)
+_MOVES_AFTER_CUTTING_CORNERS = _moves_after(KEPT_MOVES_CUTTING_CORNERS)
 
 
 # --- the map as bits ----------------------------------------------------------------------------
@@ -270,16 +278,19 @@ def _is_free(words: Words, bit: Int) -> Int:
 
 
 @inlined
-def _around(words: Words, bit: Int, pitch: Int) -> Int:
-    """Return the free cells of the three by three around a bit, as `_moves_around` takes them."""
-    first = np.uint64(bit - 1)
+def _free_around(words: Words, bit: Int, pitch: Int) -> Int:
+    """Return which cells are free of the three by three around a bit.
+
+    Bit 3 * i + j of the result is the cell in row i and column j. `_moves_after` counts so, too.
+    """
+    first = np.uint64(bit - 1)  # the three columns begin one to the left
     word = first >> _WORD_BITS
     shift = first & _LAST_BIT
-    line = np.uint64(pitch) >> _WORD_BITS
+    line = np.uint64(pitch) >> _WORD_BITS  # words from a line to the next one
     above = _window(words, word - line, shift) & _SEVEN
     here = _window(words, word, shift) & _SEVEN
     below = _window(words, word + line, shift) & _SEVEN
-    return above | here << np.uint64(3) | below << _WORD_BITS
+    return above | here << _THREE | below << _SIX
 
 
 # --- scans --------------------------------------------------------------------------------------
@@ -501,9 +512,9 @@ def _search(
     f = memory.f
     map_columns = shape[1]
     lead = np.uint64(may_cut)
-    moves_around = _MOVES_AROUND
+    moves_after = _MOVES_AFTER
     if may_cut:
-        moves_around = _MOVES_AROUND_CUTTING_CORNERS
+        moves_after = _MOVES_AFTER_CUTTING_CORNERS
     goal_row = goal[0]
     goal_column = goal[1]
     goal_by_rows = first_by_rows + goal_row * row_pitch + goal_column
@@ -565,53 +576,60 @@ def _search(
                 last_node = node
                 expansions += 1
                 break
-        moves = np.int64(moves_around[np.uint64(arrival << 9) | _around(words, bit, row_pitch)])
+        moves = np.int64(
+            moves_after[np.uint64(arrival << _CELLS_AROUND) | _free_around(words, bit, row_pitch)]
+        )
+        # A straight move is one scan from the cell. A diagonal move goes on cell by cell, and scans
+        # from each of them along the straight moves that may follow it.
         while moves:
             move = np.int64(LOWEST_MOVE[np.uint64(moves)])
             moves &= moves - 1
-            scans = np.int64(1) << move
-            onward = np.int64(0)
-            r = row
-            c = column
+            scans_left = np.int64(1) << move
+            moves_here = np.int64(0)  # after a diagonal move; none after a straight one
+            scan_row = row
+            scan_column = column
             scan_cost = cost
             while True:
                 if move >= 4:
-                    r += STEPS[np.uint64(move), 0]
-                    c += STEPS[np.uint64(move), 1]
+                    scan_row += STEPS[np.uint64(move), 0]
+                    scan_column += STEPS[np.uint64(move), 1]
                     scan_cost += diagonal_cost
                     looks += 1
-                    bit = first_by_rows + r * row_pitch + c
-                    onward = np.int64(
-                        moves_around[np.uint64(move << 9) | _around(words, bit, row_pitch)]
+                    bit = first_by_rows + scan_row * row_pitch + scan_column
+                    moves_here = np.int64(
+                        moves_after[
+                            np.uint64(move << _CELLS_AROUND) | _free_around(words, bit, row_pitch)
+                        ]
                     )
                     # Where corners may be cut, other diagonal moves are forced beside obstacles.
-                    if bit == goal_by_rows or onward & (_DIAGONALS ^ (1 << move)):
-                        scans = np.int64(1) << move
-                        onward = np.int64(0)
+                    if bit == goal_by_rows or moves_here & (_DIAGONALS ^ (1 << move)):
+                        # The diagonal move itself stands for pushing this cell, and it ends here.
+                        scans_left = np.int64(1) << move
+                        moves_here = np.int64(0)
                     else:
-                        scans = onward & _STRAIGHTS
-                while scans:
-                    part = np.int64(LOWEST_MOVE[np.uint64(scans)])
-                    scans &= scans - 1
-                    length = np.int64(0)
-                    if part < 4:
-                        if part & 1:
+                        scans_left = moves_here & _STRAIGHTS
+                while scans_left:
+                    scan = np.int64(LOWEST_MOVE[np.uint64(scans_left)])
+                    scans_left &= scans_left - 1
+                    length = np.int64(0)  # of the scan; 0 where the cell itself is pushed
+                    if scan < 4:
+                        if scan & 1:
                             pitch = row_pitch
-                            bit = first_by_rows + r * row_pitch + c
+                            bit = first_by_rows + scan_row * row_pitch + scan_column
                             goal_bit = goal_by_rows
                         else:
                             pitch = column_pitch
-                            bit = first_by_columns + c * column_pitch + r
+                            bit = first_by_columns + scan_column * column_pitch + scan_row
                             goal_bit = goal_by_columns
-                        if part in (1, 2):
+                        if scan in (1, 2):
                             length = _scan_up(words, bit, pitch, goal_bit, lead)
                         else:
                             length = _scan_down(words, bit, pitch, goal_bit, lead)
                         looks += abs(length)
                         if length <= 0:
-                            continue
-                    target_row = r + length * STEPS[np.uint64(part), 0]
-                    target_column = c + length * STEPS[np.uint64(part), 1]
+                            continue  # there is no jump point
+                    target_row = scan_row + length * STEPS[np.uint64(scan), 0]
+                    target_column = scan_column + length * STEPS[np.uint64(scan), 1]
                     target_cost = scan_cost + length * UNIT
                     place = target_row * map_columns + target_column
                     slot = np.int64(slots[np.uint64(place)])
@@ -629,11 +647,11 @@ def _search(
                         nodes[k, _PLACE] = place
                     nodes[k, _COST] = target_cost
                     nodes[k, _PARENT] = node
-                    nodes[k, _MOVE] = part
+                    nodes[k, _MOVE] = scan
                     h = octile(target_row - goal_row, target_column - goal_column, diagonal_cost)
                     insert_in_heap(heap, f, heap_size, slot, target_cost + h)
                     heap_size += 1
-                if (onward >> move) & 1 == 0:
+                if (moves_here >> move) & 1 == 0:
                     break
     return goal_cost, last_node, expansions, looks, high_cost
 
