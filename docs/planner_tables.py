@@ -329,10 +329,10 @@ def measure_sample(
     results: Results, path: Path, file: str, names: Sequence[str], command: str
 ) -> None:
     """Measure the sample path predictor, which moves as the sets of the first table do."""
-    model = MovePredictor.load_from_checkpoint(file, map_location="cpu").eval()
+    model = MovePredictor.load_from_checkpoint(file, map_location="cpu")
     movement = RULES[""]
     without = [one for one in classical(movement) if one.name == NO_NETWORK]
-    planners = [*without, GuidedSearch(SAMPLE, movement, model.predict)]
+    planners = [*without, model.planner(SAMPLE)]
     for name in names:
         measure(results, name, planners, command, [SAMPLE])
         results.write(path)

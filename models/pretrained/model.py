@@ -175,7 +175,7 @@ class Model(pl.LightningModule, ABC):
         _check_weights(weights)
         description = {"class": type(self).__name__, "arguments": json.dumps(arguments)}
         description["sha256"] = _digest(description, weights)
-        write_output(file, safetensors.torch.save(weights, description))
+        write_output(file, _with_sorted_metadata(safetensors.torch.save(weights, description)))
 
     @classmethod
     def pretrained(cls: type[P], name: str | None = None) -> P:
@@ -252,6 +252,20 @@ def load_model(file: str | PathLike[str], *classes: type[M]) -> M:
             f"({type(error).__name__}: {reason})"
         ) from None
     return model.eval()
+
+
+def _with_sorted_metadata(content: bytes) -> bytes:
+    """Return a file of safetensors, which writes metadata in any order, with its keys in order.
+
+    So the same model gives the same bytes. Such a file begins with the length of its header, in
+    eight bytes; the header is JSON, with blanks to a multiple of eight bytes.
+    """
+    length = int.from_bytes(content[:8], "little")
+    header = json.loads(content[8 : 8 + length])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text = text.ljust(-(-len(text) // 8) * 8)
+    return len(text).to_bytes(8, "little") + text + content[8 + length :]
 
 
 def _digest(description: Mapping[str, str], weights: Mapping[str, Tensor]) -> str:

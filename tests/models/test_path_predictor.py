@@ -6,12 +6,30 @@ import math
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 import torch
 
-from mapdata import Cave, Movement, OnlineMapDataset, ProblemSet, Sample, build, evaluate
-from mapdata.evaluation import GuidedSearch, prior
-from mapdata.models.path_predictor import FIELDS, MOVEMENT, MovePredictor, is_optimal, main
+from mapdata import (
+    Cave,
+    Movement,
+    OnlineMapDataset,
+    ProblemSet,
+    Sample,
+    build,
+    check_path,
+    evaluate,
+)
+from mapdata.evaluation import prior
+from mapdata.models.path_predictor import (
+    FIELDS,
+    MOVEMENT,
+    MovePredictor,
+    is_legal,
+    is_optimal,
+    main,
+)
+from mapdata.search import STEPS
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:The '.*dataloader' does not have many workers", "ignore:.*LeafSpec", "ignore:.*TF32"
@@ -29,7 +47,7 @@ def model_of(seed: int) -> MovePredictor:
     """Return a predictor whose last layer is random, so that it predicts anything."""
     torch.manual_seed(seed)
     model = MovePredictor()
-    torch.nn.init.normal_(model.network.head.weight, std=0.5)
+    torch.nn.init.normal_(next(reversed(list(model.network.parameters()))), std=0.5)
     return model.eval()
 
 
@@ -40,35 +58,56 @@ def test_bits_are_moves() -> None:
     assert np.array_equal(is_optimal(moves).numpy(), expected)
 
 
-def test_it_begins_near_the_scores_of_an_empty_map() -> None:
-    """On maps of any size: the weights of the last layer are 0, and its biases below 0.21."""
+def test_legal_moves_are_those_of_check_path() -> None:
+    """From every free cell, to its eight neighbours, also beyond the border."""
+    maps = batch_of(2).map
+    legal = is_legal(maps).numpy()
+    for problem, row, column in np.argwhere(maps[:, 0].numpy() == 0):
+        grid = maps[problem, 0].numpy()
+        for move, (down, right) in enumerate(STEPS):
+            path = [(row, column), (row + down, column + right)]
+            assert legal[problem, move, row, column] == is_path(grid, path)
+
+
+def is_path(grid: npt.NDArray[np.uint8], path: list[tuple[int, int]]) -> bool:
+    """Return whether `check_path` takes a path."""
+    try:
+        check_path(grid, path, MOVEMENT)
+    except ValueError:
+        return False
+    return True
+
+
+def test_it_begins_with_the_scores_of_an_empty_map() -> None:
+    """On maps of any size: the last layer is 0."""
     batch = batch_of(3)
     grids, goals = batch.map[:, 0].numpy(), batch.goal.numpy()
     scores, costs_to_go = MovePredictor().eval().predict(grids, goals)
     expected_scores, expected_costs = prior(grids, goals, MOVEMENT)
-    assert np.abs(scores - expected_scores).max() < 0.21
     assert scores.shape == (3, 8, 20, 26)
-    assert (costs_to_go >= expected_costs).all()  # obstacles make no way shorter
+    np.testing.assert_array_equal(scores, expected_scores)
+    np.testing.assert_array_equal(costs_to_go, expected_costs)
 
 
 def test_the_loss_is_that_of_a_loop_over_the_cells() -> None:
-    """With the weights of cells with a detour, and without cells that have no way to the goal."""
+    """Of the legal moves of each cell that has a way to the goal."""
     batch = batch_of(2)
     model = model_of(1)
     with torch.no_grad():
-        scores, ratios, _ = model(batch.map, batch.goal)
+        scores, _ = model(batch.map, batch.goal)
         loss = float(model.loss(batch))
-    total = total_weight = 0.0
+    losses = []
     for problem, row, column in np.argwhere(batch.optimal_moves[:, 0].numpy() > 0):
+        grid = batch.map[problem, 0].numpy()
         moves = int(batch.optimal_moves[problem, 0, row, column])
-        powers = [math.exp(float(score)) for score in scores[problem, :, row, column]]
-        right = sum(power for k, power in enumerate(powers) if moves >> k & 1)
-        ratio = float(batch.heuristic_ratio[problem, 0, row, column])
-        error = float(ratios[problem, row, column]) - ratio
-        weight = 3 if ratio < 0.98 else 1
-        total += weight * (-math.log(right / sum(powers)) + 5 * error**2)
-        total_weight += weight
-    assert loss == pytest.approx(total / total_weight, rel=1e-4)
+        right = every = 0.0
+        for move, (down, across) in enumerate(STEPS):
+            if is_path(grid, [(row, column), (row + down, column + across)]):
+                power = math.exp(float(scores[problem, move, row, column]))
+                every += power
+                right += power * (moves >> move & 1)
+        losses.append(-math.log(right / every))
+    assert loss == pytest.approx(np.mean(losses), rel=1e-4)
 
 
 def test_it_learns_a_batch() -> None:
@@ -90,8 +129,7 @@ def test_it_learns_a_batch() -> None:
 def test_whatever_it_predicts_paths_are_found() -> None:
     """Its planner solves every problem that has a path."""
     problems = ProblemSet.sample(SMALL, seed=8, maps=10, movement=MOVEMENT)
-    planner = GuidedSearch("sample", MOVEMENT, model_of(2).predict)
-    table = evaluate([planner], problems, bootstrap=1)
+    table = evaluate([model_of(2).planner()], problems, bootstrap=1)
     assert (table["success"] == 1).all()
     assert (table["refused"] == 0).all()
 

@@ -635,7 +635,7 @@ def test_every_verb_takes_a_url_or_says_why_not(
     for line in (
         ["build", url],
         ["import", url, str(tmp_path / "maps")],
-        ["import", url, str(tmp_path / "maps"), "--format", "paper"],
+        ["import", url, str(tmp_path / "maps"), "--format", "images"],
         ["verify", url, "--repair"],
         ["export", str(server.folder), url, "--format", "paper"],
         ["report", str(server.folder), "-o", f"{url}/report.html"],

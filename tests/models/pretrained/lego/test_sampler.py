@@ -558,9 +558,7 @@ def test_a_small_model_learns_and_is_saved(model_class: type[Sampler], tmp_path:
 
     file = tmp_path / "weights.pt"
     model.save(file)
-    saved = torch.load(file, weights_only=True)
     again = load(file)
-    assert saved["class"] == model_class.__name__
     assert type(again) is model_class
     assert again.targets == "lego"
     for parameter, loaded in zip(model.parameters(), again.parameters(), strict=True):
