@@ -74,6 +74,7 @@ JUMP_POINTS = "jump point search"
 SEARCH = "path_predictor (search)"
 NO_NETWORK = "guided search, no network"
 SAMPLE = "sample path predictor"
+UNTRAINED = "sample path predictor, untrained"
 INEXACT = ("weighted", "greedy")
 """How the names of classical planners without optimal paths begin."""
 
@@ -328,13 +329,16 @@ def guided_planners(movement: Movement) -> list[Planner]:
 def measure_sample(
     results: Results, path: Path, file: str, names: Sequence[str], command: str
 ) -> None:
-    """Measure the sample path predictor, which moves as the sets of the first table do."""
+    """Measure the sample path predictor, which moves as the sets of the first table do.
+
+    Untrained it is the same search, with the same trust, without a network.
+    """
     model = MovePredictor.load_from_checkpoint(file, map_location="cpu")
     movement = RULES[""]
     without = [one for one in classical(movement) if one.name == NO_NETWORK]
-    planners = [*without, model.planner(SAMPLE)]
+    planners = [*without, MovePredictor().planner(UNTRAINED), model.planner(SAMPLE)]
     for name in names:
-        measure(results, name, planners, command, [SAMPLE])
+        measure(results, name, planners, command, [UNTRAINED, SAMPLE])
         results.write(path)
 
 
@@ -565,12 +569,12 @@ def table_of_differences(results: Results, names: Iterable[str]) -> str:
 
 
 def table_of_sample(results: Results) -> str:
-    """Return the sample path predictor beside no network and the pretrained one, set by set."""
-    planners = (NO_NETWORK, SAMPLE, SEARCH)
+    """Return the sample path predictor beside others that use its search, set by set."""
+    planners = (NO_NETWORK, UNTRAINED, SAMPLE, SEARCH)
     heads = [
         f"{one} {metric}"
         for metric in ("Opt", "expansions")
-        for one in ("no network", "sample", "pretrained")
+        for one in ("no network", "untrained", "sample", "pretrained")
     ]
     rows = [["set", *heads]]
     for name in FIRST_SETS:

@@ -9,8 +9,8 @@ prediction, comparison.
 For every cell of a map the network predicts which moves begin a shortest path to the goal.
 `GuidedSearch` plans with these scores, and finds a path wherever there is one. The network does not
 begin from nothing: `prior` has the scores of the moves on an empty map, and the network corrects
-them where obstacles are in the way. So before training the planner is the row "no network" of the
-table, which is the row to beat.
+them where obstacles are in the way. So the untrained planner is the search without a network, and
+the row to beat.
 """
 
 from __future__ import annotations
@@ -258,7 +258,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.weights is not None:  # MovePredictor.load_from_checkpoint(file) reads them
         trainer.save_checkpoint(options.weights, weights_only=True)
     problems = ProblemSet.read(options.root, 300, movement=MOVEMENT, problems=HARD)
-    planners = [*classical(MOVEMENT), model.planner()]
+    untrained = MovePredictor().planner("sample, untrained")  # the same search, without learning
+    planners = [*classical(MOVEMENT), untrained, model.planner()]
     print(to_text(evaluate(planners, problems), ["opt", "expansion_ratio"]))
 
 

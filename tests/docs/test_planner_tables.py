@@ -5,16 +5,18 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 from helpers.pages import DOCS
 
 from mapdata import MapGenerator, Movement, ProblemSet, evaluate
-from mapdata.evaluation import GuidedSearch, classical
+from mapdata.evaluation import GuidedSearch, classical, prior
 from mapdata.evaluation.planners import BestFirst
 from mapdata.models import MovePredictor
 
@@ -139,19 +141,27 @@ def test_the_sample_is_measured_alone(
     tables: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """With --sample no other row changes; its row is that of `evaluate`, and the page shows it."""
+    torch.manual_seed(0)
     model = MovePredictor()
+    torch.nn.init.normal_(next(reversed(list(model.network.parameters()))), std=0.5)
     monkeypatch.setattr(MovePredictor, "load_from_checkpoint", lambda file, **_: model)
     monkeypatch.setattr(tables, "FIRST_SETS", ["maze-hard-5"])
     (tmp_path / "planners.md").write_text("<!-- table sample -->\nold\n<!-- end -->\n")
     command = ["--folder", str(tmp_path), "--set", "maze-hard-5"]
     tables.main([*command, "--sample", "moves.ckpt"])
-    assert list(rows_of(tmp_path).index) == [tables.SAMPLE]
+    assert set(rows_of(tmp_path).index) == {tables.UNTRAINED, tables.SAMPLE}
     movement = Movement(8)
     problems = ProblemSet.sample("maze", 77, until_hard=5, movement=movement)
-    table = evaluate([GuidedSearch(tables.SAMPLE, movement, model.predict)], problems)
-    row = table[table.subset == "hard"].iloc[0]
-    for metric in ("opt", "expansion_ratio"):
-        assert rows_of(tmp_path)[metric][tables.SAMPLE] == pytest.approx(row[metric], abs=1e-5)
+    planners = [
+        GuidedSearch(tables.SAMPLE, movement, model.predict, trust=0.01),
+        GuidedSearch(tables.UNTRAINED, movement, partial(prior, movement=movement), trust=0.01),
+    ]
+    rows = evaluate(planners, problems).query("subset == 'hard'").set_index("planner")
+    assert rows["expansion_ratio"].nunique() == 2
+    for planner in planners:
+        for metric in ("opt", "expansion_ratio"):
+            expected = pytest.approx(rows[metric][planner.name], abs=1e-5)
+            assert rows_of(tmp_path)[metric][planner.name] == expected
     network = BestFirst(tables.SEARCH, movement, weight=2)
     monkeypatch.setattr(tables, "all_planners", lambda rule: [*classical(rule), network])
     tables.main(command)
