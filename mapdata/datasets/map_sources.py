@@ -1,4 +1,16 @@
-"""Sources of maps to draw problems on: the shards of a dataset, or a recipe."""
+"""Sources of maps to draw problems on: the shards of a dataset, or a recipe.
+
+Several numbers count problems and maps, here and in the modules around this one:
+
+- index: of a problem as the dataset serves it, such as 5 in ``dataset[5]``;
+- key: what the draws of a problem depend on; its index, or a number beyond all of them for a
+  substitute;
+- place: of a map among those of the served split, from 0 on. Where problems are stored, it is the
+  number of a problem on the map;
+- map number: of a map in its own dataset or recipe, over all splits; errors name it;
+- map index: the same, counted on over several roots; the field ``map_index``;
+- row: the position in the arrays of one batch.
+"""
 
 from __future__ import annotations
 
@@ -71,7 +83,7 @@ class StoredMapSource:
     """The maps of the shards of a dataset, as a `MapSource`.
 
     Attributes:
-        reader: reads them. The place of a map is the number of a problem on it.
+        reader: reads them.
         labels_serve: whether paths and rooms are served as they are stored.
     """
 

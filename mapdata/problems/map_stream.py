@@ -28,7 +28,7 @@ class MapStream:
 
     Attributes:
         batches: the maps, some at a time.
-        place: where they come from, in words.
+        origin: where they come from, in words.
         count: how many there are.
         size: (rows, columns) of a map.
         has_terrain: whether they have terrain.
@@ -37,7 +37,7 @@ class MapStream:
     """
 
     batches: Iterable[GivenMaps]
-    place: str
+    origin: str
     count: int
     size: Size
     has_terrain: bool
@@ -109,10 +109,11 @@ def draw_problems(
             if hard_count == until_hard or (is_in_vain and stream.are_alike):
                 break
     if not parts:
-        raise search.error(f"{tried:,} maps were tried, from {stream.place}")
+        raise search.error(f"{tried:,} maps were tried, from {stream.origin}")
     if until_hard is not None and hard_count < until_hard:
         raise ValueError(
-            f"until_hard: got {until_hard}, found only {hard_count} hard problems on {stream.place}"
+            f"until_hard: got {until_hard}, found only {hard_count} hard problems on "
+            f"{stream.origin}"
         )
     return Drawn.joined(parts)
 

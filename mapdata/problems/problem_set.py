@@ -21,7 +21,7 @@ from mapdata.generators.recipe import RecipeLike, as_recipe, generate
 from mapdata.hashing import canonical_json
 from mapdata.limits import SPLITS
 from mapdata.movement import Movement, check_movement
-from mapdata.problems.drawing import DRAWS_OF_SETS, Drawing, GivenMaps
+from mapdata.problems.drawing import DRAWS_OF_SETS, Drawing, GivenMaps, Paths
 from mapdata.problems.map_stream import MapStream, draw_problems, first_maps
 from mapdata.problems.set_file import StoredSet, different_maps, read_set, write_set
 from mapdata.problems.sources import Random, SourceLike, problem_source
@@ -591,7 +591,7 @@ def _drawn_set(
     """Return the set of the problems that `draw_problems` draws."""
     drawn = draw_problems(stream, drawing, until_hard, progress=progress)
     first, last = drawn.numbers[0], drawn.numbers[-1]
-    description = f"maps {first} to {last} of {stream.place}, problems by seed {drawing.seed}"
+    description = f"maps {first} to {last} of {stream.origin}, problems by seed {drawing.seed}"
     if drawing.min_clearance > 0:
         cells = math.sqrt(drawing.min_clearance) / 2  # it is in half cells, squared
         description += f", inflated by {cells:.3g} cells"
@@ -674,12 +674,8 @@ def _solve(
 
 def selected_paths(paths: BatchResult, which: Ints) -> BatchResult:
     """Return the answers to the problems ``which``, (M,)."""
-    lengths = np.diff(paths.offsets)[which]
-    offsets = offsets_of(lengths)
-    # Path m moves from paths.offsets[which[m]] to offsets[m].
-    shifts = paths.offsets[which] - offsets[:-1]
-    places = np.arange(offsets[-1]) + np.repeat(shifts, lengths)
-    return BatchResult(paths.cells[places], offsets, paths.cost[which], paths.iterations[which])
+    selected = Paths(paths.cells, paths.offsets, paths.iterations).select(which)
+    return BatchResult(selected.cells, selected.offsets, paths.cost[which], selected.iterations)
 
 
 def _load(path: Path) -> tuple[ProblemSet, str | None]:
