@@ -207,21 +207,22 @@ class ProblemDataset(Dataset[Sample], ABC):
         Only what is read in the main process is seen. A later pass in ascending order is a
         validation, which should repeat its problems.
         """
+        if not self._drawn_anew:  # Repeats are what all passes should serve.
+            self.expect_epochs()
+            return
         had_a_pass = self._read_count >= len(self)
         self._read_count += len(numbers)
         if numbers.max() >= len(self):
             self.expect_epochs()
         elif had_a_pass and (np.diff(numbers) < 0).any() and get_worker_info() is None:
             self.expect_epochs()
-            drawn = self._drawn_anew
-            if drawn:
-                warnings.warn(
-                    f"a second pass over this dataset serves the same {drawn} as the first, those "
-                    "of epoch 0: instead of shuffle=True give the DataLoader "
-                    "sampler=EpochSampler(dataset, batch_size, sampling_seed=0) of "
-                    "mapdata.datasets, or use MapDataModule, and each pass is an epoch of its own",
-                    stacklevel=3,
-                )
+            warnings.warn(
+                f"a second pass over this dataset serves the same {self._drawn_anew} as the first, "
+                "those of epoch 0: instead of shuffle=True give the DataLoader "
+                "sampler=EpochSampler(dataset, batch_size, sampling_seed=0) of "
+                "mapdata.datasets, or use MapDataModule, and each pass is an epoch of its own",
+                stacklevel=3,
+            )
 
     def _checked_numbers(self, indices: Sequence[int] | Ints | Tensor) -> Ints:
         """Return indices as an array (B,) of ``index + epoch * len(dataset)``, none negative.
