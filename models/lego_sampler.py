@@ -3,8 +3,9 @@
     python -m mapdata.models.lego_sampler data/dungeon --weights sampler.ckpt
 
 trains it on a dataset in a few minutes of one core, and prints a table that compares it with
-uniform and Halton points. The file reads from top to bottom: targets, planes, network, loss,
-training, prediction, comparison.
+uniform and Halton points; roadmaps need scipy. A copy runs in the same way, `python my_sampler.py`,
+from any folder; `--steps 20 --problems 20` is a trial of a minute. The file reads from top to
+bottom: targets, planes, network, loss, training, prediction, comparison.
 
 LEGO (Kumar, Mandalika, Choudhury, Srinivasa, "LEGO: Leveraging Experience in Roadmap Generation for
 Sampling-Based Planning", IROS 2019) learns which vertices the shortest paths of a roadmap cannot do
@@ -16,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytorch_lightning as pl
@@ -31,17 +33,11 @@ from mapdata.models import fast_precision
 from mapdata.roadmaps import compare, contenders, to_text
 from mapdata.search import STEPS
 
-ROOT = "data/dungeon"
-"""The dataset that is trained on if no other is named; it is built if it is missing."""
-
 MOVEMENT = Movement(connectivity=8)
 """Eight moves that cut no corner."""
 
 PROBLEMS = Random(distance=(10, None))
 """Problems whose shortest path has a cost of at least 10 cells."""
-
-SPACING = 1.25
-"""Distance from a sampled cell, in cells, within which others become less likely."""
 
 
 # --- targets ------------------------------------------------------------------------------------
@@ -64,7 +60,7 @@ def at_corners(maps: Tensor) -> Tensor:
     return found & ~occupied(0, 0)
 
 
-def turns(batch: Sample) -> Tensor:
+def targets(batch: Sample) -> Tensor:
     """Return the cells where the path turns at a corner of an obstacle, (B, 1, H, W) bool.
 
     The data module calls it as a field, with the fields that stand before it in `FIELDS`.
@@ -79,27 +75,33 @@ def turns(batch: Sample) -> Tensor:
     return found & at_corners(batch.map)
 
 
-FIELDS = ("map", "start", "goal", "path", turns)
+FIELDS = ("map", "start", "goal", "path", targets)
 """What the data module serves: the problem, and the targets of every cell."""
 
 
 # --- planes: what the network sees --------------------------------------------------------------
 
 
-def planes_of(maps: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
-    """Return the input of the network, (B, 6, H, W), whose numbers are of a size of about 1.
+PLANES = 6
+"""How many planes `planes_of` returns."""
 
-    The problems are maps (B, 1, H, W), and cells (B, 2) as starts and goals.
+
+def planes_of(maps: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
+    """Return the input of the network, (B, PLANES, H, W), whose numbers are of a size of about 1.
+
+    The problems are maps (B, 1, H, W), and cells (B, 2) as starts and goals. Planes are computed
+    from them alone, because where points are sampled there are no labels.
     """
-    planes = [maps[:, 0].float()]
-    over_cell = torch.zeros_like(planes[0])  # from start to goal over each cell, on an empty map
+    planes = [maps[:, 0]]
+    over_cell = torch.zeros_like(maps[:, 0], dtype=torch.float32)  # from start to goal over a cell
     for ends in (starts, goals):
-        costs = torch.from_numpy(prior(maps[:, 0].cpu(), ends.cpu(), MOVEMENT)[1]).to(maps.device)
+        _, known = prior(maps[:, 0].cpu(), ends.cpu(), MOVEMENT)  # costs on an empty map
+        costs = torch.from_numpy(known).to(maps.device)
         near_end = (costs / 4).clamp(max=1)  # tells neighbouring cells apart; farther away it is 1
         planes += [costs / 64, near_end]
         over_cell += costs
     planes.append((over_cell - over_cell.amin(dim=(1, 2), keepdim=True)) / 32)
-    return torch.stack(planes, dim=1)
+    return torch.stack([plane.float() for plane in planes], dim=1)
 
 
 # --- network ------------------------------------------------------------------------------------
@@ -160,19 +162,20 @@ class LegoSampler(pl.LightningModule):
         """Make the network."""
         super().__init__()
         self.save_hyperparameters()
-        # As many inputs as `planes_of` returns, and a score. With this order of numbers in memory
-        # convolutions take less time.
-        self.network = Network(6, 1).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        network = Network(inputs=PLANES, outputs=1)
+        # Convolutions take less time where the channels of a cell stand together in memory.
+        self.network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, maps: Tensor, starts: Tensor, goals: Tensor) -> Tensor:
-        """Return the logarithms of the shares of all cells, (B, H, W); -inf in occupied cells.
+        """Return the logarithms of the shares of all cells, (B, H, W).
 
         The problems are maps (B, 1, H, W), and cells (B, 2) as starts and goals.
         """
         rows, columns = maps.shape[2:]
         padded = F.pad(maps, (0, -columns % 4, 0, -rows % 4), value=1)
         output = self.network(planes_of(padded, starts, goals)).float()  # (B, 1, H, W)
-        scores = output[..., :rows, :columns].masked_fill(maps == 1, -torch.inf)
+        # Such a score is a share of 0. Unlike -inf it does not turn other losses into NaN.
+        scores = output[..., :rows, :columns].masked_fill(maps == 1, -1e4)
         log_shares: Tensor = scores.flatten(1).log_softmax(dim=1).view(-1, rows, columns)
         return log_shares
 
@@ -184,7 +187,7 @@ class LegoSampler(pl.LightningModule):
             loss = - mean over the targets of a problem of log(share)
         """
         log_shares = self(batch.map, batch.start, batch.goal)  # (B, H, W)
-        is_target = batch.turns[:, 0]  # (B, H, W)
+        is_target = batch.targets[:, 0] > 0  # (B, H, W)
         counts = is_target.sum(dim=(1, 2))  # (B,)
         sums = log_shares.masked_fill(~is_target, 0).sum(dim=(1, 2))  # (B,)
         means = sums / counts.clamp(min=1)  # (B,)
@@ -204,10 +207,11 @@ class LegoSampler(pl.LightningModule):
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Return AdamW, whose learning rate rises and then falls to 0 at the last step."""
         optimizer = torch.optim.AdamW(self.parameters())
+        steps = int(self.trainer.estimated_stepping_batches)
         schedule = torch.optim.lr_scheduler.OneCycleLR(
             optimizer,
             max_lr=self.hparams["learning_rate"],
-            total_steps=int(self.trainer.estimated_stepping_batches),
+            total_steps=max(steps, 100),  # a short trial has the beginning of a schedule
             pct_start=0.1,
         )
         return {
@@ -230,7 +234,8 @@ class LegoSampler(pl.LightningModule):
         problems = [
             torch.from_numpy(np.array(each)).to(self.device) for each in (grids, starts, goals)
         ]
-        scores = self(problems[0][:, None], *problems[1:]).cpu()  # (B, H, W)
+        log_shares = self(problems[0][:, None], *problems[1:])  # (B, H, W)
+        scores = log_shares.masked_fill(problems[0] == 1, -torch.inf).cpu()  # no point lies there
         rows, columns = torch.meshgrid(*map(torch.arange, scores.shape[1:]), indexing="ij")
         cells = []
         for _ in range(n):
@@ -245,7 +250,14 @@ class LegoSampler(pl.LightningModule):
         return torch.cat(cells, dim=1).numpy() + inside
 
 
+SPACING = 1.25
+"""Distance from a sampled cell, in cells, within which others become less likely."""
+
+
 # --- a program: train, then compare -------------------------------------------------------------
+
+ROOT = "data/dungeon"
+"""The dataset that is trained on if no other is named. This one is built if it is missing."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -254,11 +266,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("root", nargs="?", default=ROOT, help="folder of a dataset")
     parser.add_argument("--steps", type=int, default=1500, help="steps of 16 problems each")
     parser.add_argument("--weights", help="file to which the weights are written")
+    parser.add_argument("--problems", type=int, default=200, help="problems that are compared")
     options = parser.parse_args(arguments)
     pl.seed_everything(1)
     data = MapDataModule(
         options.root,
-        build="dungeon" if options.root == ROOT else None,
+        build="dungeon" if Path(options.root) == Path(ROOT) else None,
         fields=FIELDS,
         problems=PROBLEMS,
         movement=MOVEMENT,
@@ -278,9 +291,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     trainer.fit(model, data)
     if options.weights is not None:  # LegoSampler.load_from_checkpoint(file) reads them
         trainer.save_checkpoint(options.weights, weights_only=True)
-    problems = ProblemSet.read(options.root, 200, movement=MOVEMENT)
-    rows = contenders({"sample": model.eval()})
-    names = ("uniform", "halton", "sample", "sample_alone")  # half of "sample" are Halton points
+    problems = ProblemSet.read(options.root, options.problems, movement=MOVEMENT)  # random ones
+    rows = contenders({"learned": model.eval()})
+    # Of the points of "learned", half are Halton's, as in LEGO. Those of "learned_alone" are not.
+    names = ("uniform", "halton", "learned", "learned_alone")
     print(to_text(compare({name: rows[name] for name in names}, problems, [24, 50])))
 
 

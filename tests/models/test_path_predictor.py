@@ -21,6 +21,7 @@ from mapdata import (
     evaluate,
 )
 from mapdata.evaluation import prior
+from mapdata.models import path_predictor
 from mapdata.models.path_predictor import (
     FIELDS,
     MOVEMENT,
@@ -76,6 +77,29 @@ def is_path(grid: npt.NDArray[np.uint8], path: list[tuple[int, int]]) -> bool:
     except ValueError:
         return False
     return True
+
+
+@pytest.mark.parametrize("movement", [Movement(4), Movement(8, corner_cutting=True)])
+def test_the_movement_can_be_changed(movement: Movement, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By its constant alone: every optimal move is legal, and the planner solves all problems."""
+    monkeypatch.setattr(path_predictor, "MOVEMENT", movement)
+    monkeypatch.setattr(path_predictor, "MOVES", STEPS[: movement.connectivity])
+    batch = OnlineMapDataset(SMALL, 5, 3, fields=FIELDS, problems="random", movement=movement)[:]
+    assert not (is_optimal(batch.optimal_moves) & ~is_legal(batch.map)).any()
+    problems = ProblemSet.sample(SMALL, seed=8, maps=5, movement=movement)
+    table = evaluate([model_of(2).planner()], problems, bootstrap=1)
+    assert (table["success"] == 1).all()
+    assert (table["refused"] == 0).all()
+
+
+def test_predictions_are_those_of_evaluation_mode() -> None:
+    """Also after a training step: batch norm takes its running statistics, not the batch's."""
+    batch = batch_of(2)
+    grids, goals = batch.map[:, 0].numpy(), batch.goal.numpy()
+    model = model_of(1)
+    expected, _ = model.predict(grids, goals)
+    found, _ = model.train().predict(grids, goals)
+    np.testing.assert_array_equal(found, expected)
 
 
 def test_it_begins_with_the_scores_of_an_empty_map() -> None:
@@ -142,10 +166,12 @@ def test_the_program_trains_compares_and_keeps_its_weights(
     """On any dataset; the weights predict the same again."""
     monkeypatch.chdir(tmp_path)
     build("maps", SMALL, maps=60, seed=3)
-    main(["maps", "--steps", "2", "--weights", "moves.ckpt"])
+    # torch's schedule of 30 steps, a 30th of which are one step, divides by 0.
+    main(["maps", "--steps", "30", "--problems", "5", "--weights", "moves.ckpt"])
     table = capsys.readouterr().out
     assert "guided search, no network" in table
-    assert "sample " in table
+    assert "untrained" in table
+    assert "learned" in table
     model = MovePredictor.load_from_checkpoint("moves.ckpt").eval()
     grids, goals = batch_of(2).map[:, 0].numpy(), batch_of(2).goal.numpy()
     scores, _ = model.predict(grids, goals)
