@@ -18,7 +18,7 @@ from mapdata.datasets.map_sources import MapSource, StoredMapSource
 from mapdata.limits import Size
 from mapdata.movement import Movement
 from mapdata.problems.drawing import DRAWS, Drawing, Drawn, Paths, Search
-from mapdata.problems.problem_set import ProblemSet, selected_paths
+from mapdata.problems.problem_set import ProblemSet
 from mapdata.problems.sources import Route
 from mapdata.problems.substitutes import may_have_high_costs, most_maps
 from mapdata.search.map_stack import MapStack
@@ -393,8 +393,8 @@ class SetSource:
         def compute_paths(wanted_search: str) -> Paths | None:
             if wanted_search != "astar":
                 return None  # the set has the paths of A* alone
-            optimal = selected_paths(problem_set.optimal, indices)
-            return Paths(optimal.cells, optimal.offsets, optimal.iterations)
+            optimal = problem_set.optimal
+            return Paths(optimal.cells, optimal.offsets, optimal.iterations).select(indices)
 
         return Batch(
             movement=self.movement,

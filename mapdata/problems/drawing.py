@@ -93,10 +93,10 @@ class Paths(NamedTuple):
 
     def select(self, rows: Ints) -> Paths:
         """Return the paths ``rows``, (M,)."""
-        lengths = np.diff(self.offsets)[rows]
+        firsts = self.offsets[rows]
+        lengths = self.offsets[rows + 1] - firsts
         offsets = offsets_of(lengths)
-        # Path m moves from self.offsets[rows[m]] to offsets[m].
-        shifts = self.offsets[rows] - offsets[:-1]
+        shifts = firsts - offsets[:-1]  # Path m moves from firsts[m] to offsets[m].
         rows_of_cells = np.arange(offsets[-1]) + np.repeat(shifts, lengths)
         return Paths(self.cells[rows_of_cells], offsets, self.iterations[rows])
 
