@@ -152,6 +152,21 @@ def test_stored_substitutes_are_those_of_the_format(tmp_path: Path, per_map: int
             assert served(dataset, index, epoch) == expected
 
 
+def test_a_map_gets_32_attempts() -> None:
+    """Map 586 has its first problem at attempt 32, and map 159 at attempt 33, which is not made."""
+    dataset = online(600)
+    for index, has_problem in ((586, True), (159, False)):
+        expected = served_by_the_text(
+            dataset,
+            index,
+            0,
+            lambda place: place,
+            lambda u, index=index: u * 600 + index,  # type: ignore[misc]
+        )
+        assert (expected[0] == index) == has_problem
+        assert served(dataset, index, 0) == expected
+
+
 def test_no_map_is_served_twice_online() -> None:
     """200 problems of a rare band are on 200 maps; with several a map, on no map more of them."""
     for split in (None, "test"):

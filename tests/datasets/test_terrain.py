@@ -328,6 +328,28 @@ def test_random_problems_on_terrain_are_those_of_the_reference(
     assert served > COUNT
 
 
+@pytest.mark.parametrize("is_stored", [False, True])
+def test_a_substitute_is_served_with_its_own_terrain_and_rooms(
+    is_stored: bool, tmp_path: Path
+) -> None:
+    """Not with those of the map that it replaces."""
+    options: dict[str, Any] = {
+        "fields": ("map_index", "map", "terrain", "seed_points"),
+        "problems": Random(distance=(300, None)),
+    }
+    if is_stored:
+        build(tmp_path, HILLS, maps=6, seed=SEED, workers=1)
+        batch = MapDataset(tmp_path, **options)[:]
+    else:
+        batch = OnlineMapDataset(HILLS, SEED, 6, **options)[:]
+    is_substitute = batch.map_index != torch.arange(6)
+    assert 0 < is_substitute.sum() < 6
+    own = generate(HILLS, SEED, batch.map_index.tolist())
+    np.testing.assert_array_equal(batch.map[:, 0], own.occupancy)
+    np.testing.assert_array_equal(batch.terrain[:, 0], own.terrain)
+    np.testing.assert_array_equal(batch.seed_points, own.seed_points)
+
+
 # --- terrain of ones ------------------------------------------------------------------------------
 
 

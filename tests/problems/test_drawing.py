@@ -135,3 +135,18 @@ def test_parts_are_joined_in_their_order() -> None:
     assert joined.paths is not None
     assert whole.paths is not None
     assert as_lists(joined.paths) == as_lists(whole.paths)
+
+
+@pytest.mark.parametrize("source", [sources.Route(), sources.Random((10, None), None, None, True)])
+def test_costs_that_are_too_high_are_refused_by_the_number_of_the_map(
+    source: sources.Source,
+) -> None:
+    """That of the dataset, whichever row of a batch the map is in."""
+    terrain = np.ones((2, 3, 4000), np.uint8)
+    terrain[1] = 255
+    terrain[:, 1, :-1] = 0  # so that paths lead to the far end and back
+    points = np.array([[[0, 0], [2, 0]]] * 2)
+    maps = MapStack((terrain == 0).astype(np.uint8), terrain)
+    given = GivenMaps(np.array([4, 7]), maps, points, np.array([2, 2]))
+    with pytest.raises(ValueError, match=r"^map 7: terrain: a path costs"):
+        Drawing(source, 0, Movement(8), attempts=1).on(given, np.arange(2))

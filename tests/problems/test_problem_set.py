@@ -16,7 +16,7 @@ import pytest
 from helpers import reference
 from helpers.set_files import read_arrays, write_arrays
 
-from mapdata import MapSpec, OnlineMapDataset, ProblemSet, Random, Route, astar, build
+from mapdata import MapSpec, OnlineMapDataset, ProblemSet, Random, Route, astar, build, generate
 from mapdata.movement import Movement
 from mapdata.problems import HARD
 
@@ -105,6 +105,23 @@ def reference_problem(
     return reference.reference_problem(
         grid, seed, index, 0, conditions.bands, movement, draws=draws
     )
+
+
+def test_a_sample_makes_as_many_draws_as_are_stated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each further draw finds problems on maps that are left out without it."""
+    grids = generate(TINY, 3, range(8)).occupancy.tolist()
+    sizes = []
+    for draws in (2, 3, 4):
+        monkeypatch.setattr("mapdata.problems.problem_set.DRAWS_OF_SETS", draws)
+        expected = []
+        for index, grid in enumerate(grids):
+            drawn = reference_problem(grid, 3, index, NARROW, Movement(), draws=draws)
+            if drawn is not None:
+                expected.append(list(drawn.start))
+        found = ProblemSet.sample(TINY, 3, 8, problems=NARROW, movement=Movement())
+        assert found.starts.tolist() == expected
+        sizes.append(len(expected))
+    assert sizes[0] < sizes[1] < sizes[2]
 
 
 def test_the_first_problems_do_not_depend_on_how_many() -> None:
@@ -306,6 +323,14 @@ def test_a_sample_ends_after_maps_without_a_problem(
     # One problem is enough, however late the next one comes.
     seldom = ProblemSet.sample(TINY, 3, 90, problems=Random((6, None)), movement=Movement())
     assert 0 < len(seldom) < 90
+
+
+def test_a_sample_in_vain_tries_no_map_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After M maps, which docs/format.md defines, there is an error."""
+    cells_of_a_map = 9 * 7
+    monkeypatch.setattr("mapdata.problems.substitutes.MAX_CELLS", 32 * 1000 * cells_of_a_map)
+    with pytest.raises(ValueError, match="; 32 maps were tried, from the maps with identity"):
+        ProblemSet.sample(TINY, 3, 90, problems=Random(length=(63, None)), movement=Movement())
 
 
 @pytest.mark.parametrize("movement", [Movement(), CUTTING], ids=["4", "cutting"])
