@@ -146,6 +146,31 @@ def test_problems_on_terrain_of_ones_are_those_without_terrain(movement: Movemen
         np.testing.assert_array_equal(ours, expected)
 
 
+def test_both_ends_of_a_band_on_terrain_are_included() -> None:
+    """Bands that end at the value of a start, or at the next float: that start is in, or out."""
+    terrain = np.array([[1, 5, 3], [2, 0, 7]], np.uint8)
+    grid = (terrain == 0).astype(np.uint8).tolist()
+    goal = (0, 0)
+    movement = Movement()
+    count = 100  # of each start about 20
+    costs = reference.reference_distances(grid, goal, movement, terrain.tolist())
+    for cost in costs.values():
+        end = reference.as_float(cost, movement, terrain.tolist())
+        if end == 0:
+            continue
+        above = float(np.nextafter(end, np.inf))
+        below = float(np.nextafter(end, 0))
+        for band in ((end, None), (above, None), (None, end), (None, below)):
+            conditions = Random(distance=band)
+            terrains = np.repeat(terrain[None], count, axis=0)
+            ends, *_ = sample(terrains, 3, conditions, movement, np.tile(goal, (count, 1)))
+            drawn = {(row, column) for row, column in ends[:, :2].tolist()}
+            within = reference.starts_within(
+                grid, goal, costs, conditions.bands, movement, terrain.tolist()
+            )
+            assert drawn == (set(within) or {(-1, -1)}), band
+
+
 def test_a_terrain_whose_costs_are_too_high_is_reported() -> None:
     """With its number and cost, so that the caller can name the map; earlier problems are there."""
     terrains = np.full((3, 1, 5000), 255, np.uint8)
