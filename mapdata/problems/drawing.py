@@ -19,7 +19,8 @@ import numpy as np
 from mapdata.arrays import Flags, Ints, offsets_of
 from mapdata.generators.maps import Maps
 from mapdata.movement import Movement
-from mapdata.problems.sampling import sample_problems, solve_pairs
+from mapdata.problems.pairs import solve_pairs
+from mapdata.problems.sampling import sample_problems
 from mapdata.problems.sources import Pairs, Random, Route, Source, plain_text
 from mapdata.problems.substitutes import RARE_SHARE, say_rare
 from mapdata.search.api import SEARCHES

@@ -1,4 +1,9 @@
-"""Problems that planners are compared on: sampled on new maps, or on one split of a dataset."""
+"""Problems that planners are compared on: sampled on new maps, or on one split of a dataset.
+
+The file is long because all ways to get a `ProblemSet` are methods of the class. Most of their work
+is done elsewhere: drawing problems in `mapdata.problems.drawing`, files in
+`mapdata.problems.set_file`.
+"""
 
 from __future__ import annotations
 

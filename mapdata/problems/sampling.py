@@ -1,4 +1,4 @@
-"""The kernels that sample problems anew each epoch.
+"""The kernels that sample random problems anew each epoch.
 
 A problem is a function of (sampling seed, epoch, index), never of the state of a worker.
 """
@@ -31,7 +31,6 @@ from mapdata.search.ground import (
     EXACT,
     PaddedTerrain,
     cost_in_cells,
-    load_map,
     load_terrain,
     terrain_heuristic,
 )
@@ -41,8 +40,6 @@ from mapdata.search.kernels import (
     count_moves,
     search_memory,
     shortest_costs,
-    with_capacity,
-    write_cells,
 )
 from mapdata.search.lattice import (
     CORNER_CUTTING,
@@ -51,12 +48,10 @@ from mapdata.search.lattice import (
     NO_CORNER_CUTTING,
     NO_DIAGONALS,
     UNIT,
-    CostWeights,
     Lattice,
     MoveRule,
     cell_at,
     count_path_cells,
-    diagonal_moves,
     heuristic,
     in_cells,
     load,
@@ -64,7 +59,6 @@ from mapdata.search.lattice import (
     split_cost,
 )
 from mapdata.search.map_stack import MapStack
-from mapdata.search.solving import Solved, search_loaded
 from mapdata.search.terrain import shortest_terrain_costs, terrain_astar
 
 _LOWEST_BITS_TO_TOP_BYTE = np.uint64(0x0102040810204080)
@@ -604,130 +598,3 @@ def _terrain_path_length(
     terrain_astar(start_cell, goal_cell, padded, lattice, scratch)
     straight, diagonal = count_moves(scratch.came_from, start_cell, goal_cell, lattice)
     return count_path_cells(straight, diagonal)
-
-
-def solve_pairs(
-    maps: MapStack,
-    seed_points: Ints,
-    rooms: Ints,
-    seed: np.uint64,
-    epoch: int,
-    indices: Ints,
-    only_route: int,
-    keep_unsolvable: int,
-    weights: CostWeights,
-    rule: MoveRule,
-) -> tuple[Ints, Solved]:
-    """Sample a pair of seed points on each map and search its path.
-
-    If a pair has no path, the next one is tried, until all pairs of the map have been tried.
-    Whether a pair has a path does not depend on costs.
-
-    Args:
-        maps: B maps, without terrain for BFS.
-        seed_points: (B, R, 2) cells.
-        rooms: (B,) number of seed points.
-        seed: sampling seed.
-        epoch: pass over the data.
-        indices: (B,) number of each problem.
-        only_route: whether the pairs are those of the route, (q, q + 1), instead of all i < j.
-        keep_unsolvable: whether pairs without a path are kept.
-        weights: BFS or ASTAR.
-        rule: as `move_rule` returns it.
-
-    Returns:
-        The start and the goal of each problem (B, 4), -1 if no pair fits; and their paths. If a
-        cost is too high to be exact, the problems from that one on are not sampled.
-    """
-    diagonals = diagonal_moves(rule) if maps.terrain is None else None
-    ends, solved = _solve_pairs(
-        *maps.ground,
-        seed_points,
-        rooms,
-        seed,
-        epoch,
-        indices,
-        only_route,
-        keep_unsolvable,
-        weights,
-        diagonals,
-        *search_memory(maps.grids.shape[1:], rule),
-    )
-    return ends, solved
-
-
-@kernel
-def _solve_pairs(
-    maps: Bytes,
-    cell_costs: Bytes | None,
-    seed_points: Ints,
-    rooms: Ints,
-    seed: np.uint64,
-    epoch: Int,
-    indices: Ints,
-    only_route: Int,
-    keep_unsolvable: Int,
-    weights: CostWeights,
-    diagonals: Int | None,
-    lattice: Lattice,
-    scratch: Scratch,
-) -> tuple[Ints, Solved]:
-    """Do the work of `solve_pairs`; ``maps`` and ``cell_costs`` are from `MapStack.ground`.
-
-    ``diagonals`` are those of the rule, from `diagonal_moves`; None on terrain.
-    """
-    count = len(maps)
-    ends = np.full((count, 4), -1)
-    sums = np.zeros((count, 2), np.int64)
-    sums[:, 0] = -1
-    offsets = np.zeros(count + 1, np.int64)
-    expansions = np.zeros(count, np.int64)
-    cells = np.empty((64 * count + 64, 2), np.int64)
-    for b in range(count):
-        n = rooms[b]
-        used = offsets[b]
-        offsets[b + 1] = used
-        pairs = n - 1 if only_route else n * (n - 1) // 2
-        if pairs < 1:
-            continue
-        random, _, _, _ = block(seed, np.uint64(indices[b]), epoch, PROBLEM, 0)
-        first_pair = bounded(random, 0, pairs - 1)
-        for attempt in range(pairs):
-            i, j = pair_of_number((first_pair + attempt) % pairs, n, only_route)
-            start = cell_at(seed_points[b, i, 0], seed_points[b, i, 1], lattice)
-            goal = cell_at(seed_points[b, j, 0], seed_points[b, j, 1], lattice)
-            if start == goal:
-                continue
-            _, ground = load_map(maps[b], cell_costs, lattice, scratch.came_from)
-            found = search_loaded(start, goal, weights, diagonals, ground, lattice, scratch)
-            if found.high_cost:
-                return ends, Solved(cells, sums, expansions, offsets, b, found.high_cost)
-            expansions[b] = found.expansions
-            if found.length or keep_unsolvable:
-                ends[b, 0], ends[b, 1] = position(start, lattice)
-                ends[b, 2], ends[b, 3] = position(goal, lattice)
-                sums[b, 0] = found.straight_sum
-                sums[b, 1] = found.diagonal_sum
-                cells = with_capacity(cells, used, found.length)
-                write_cells(scratch.came_from, goal, lattice, cells[used : used + found.length])
-                offsets[b + 1] = used + found.length
-                break
-    return ends, Solved(cells[: offsets[count]], sums, expansions, offsets, count, EXACT)
-
-
-@kernel
-def pair_of_number(number: Int, points: Int, only_route: Int) -> tuple[Int, Int]:
-    """Return the seed points (i, j) of pair ``number`` of a map with so many points.
-
-    The pairs are those of the route, or all i < j in row-major order.
-    """
-    if only_route:
-        return number, number + 1
-    i = 0
-    number_in_row = number
-    pairs_in_row = points - 1  # row i has the pairs with j from i + 1 to points - 1
-    while number_in_row >= pairs_in_row:
-        number_in_row -= pairs_in_row
-        pairs_in_row -= 1
-        i += 1
-    return i, i + 1 + number_in_row

@@ -20,6 +20,9 @@ search, and many problems on one map do not look at the cells that they do not r
 Sources: Harabor and Grastien, "Improving jump point search", ICAPS 2014, for blocks of bits and for
 diagonal scans ("JPS (B + P)"); Briggs and Torczon, "An efficient representation for sparse sets",
 1993.
+
+The map of bits, the scans and the search are one file, because each scan relies on how the bits
+lie, and the search on where a scan ends.
 """
 
 from __future__ import annotations

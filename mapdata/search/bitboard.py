@@ -16,6 +16,8 @@ order of moves. Two things follow:
   start through the levels around the goal finds it, if it takes the first move that leads nearer.
 - The cells expanded before the goal are all cells of nearer levels, and those cells of the goal's
   level whose paths come first. That second set can be carried along the path.
+
+Moves, labels and samples are computed from the same boards and levels, so they are one file.
 """
 
 from __future__ import annotations

@@ -25,6 +25,9 @@ Two habits of these kernels look odd and are for speed:
 The memory that searches write to, `Scratch`, has room for the largest possible number of pushes: up
 to 137 bytes a cell. Only what a search touches becomes memory of the process, mostly 10 to 40 bytes
 for each cell that it expands and 1 for each cell of the grid.
+
+All of this is one file, because the searches share the log, the links and the bits of
+``came_from``.
 """
 
 from __future__ import annotations

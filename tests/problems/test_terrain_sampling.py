@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from mapdata import Movement, Random, astar
 from mapdata.arrays import Bytes, Ints
-from mapdata.problems.sampling import sample_problems, solve_pairs
+from mapdata.problems.pairs import solve_pairs
+from mapdata.problems.sampling import sample_problems
 from mapdata.search.lattice import ASTAR, move_rule
 from mapdata.search.map_stack import MapStack
 
