@@ -25,6 +25,7 @@ import mapdata
 from benchmarks.measure import Peer, Row, each, interleaved, median_ratio, seconds, to_text
 from benchmarks.paths import Bytes, Cell, Ints, ends_of, grids_of, none_is_empty
 from mapdata import MapGenerator, Movement, generate, label
+from mapdata.evaluation import JumpPointSearch
 
 PACKAGES = ("mapdata-torch", "numpy", "numba")
 
@@ -44,11 +45,14 @@ CSTAR = Peer("cstar-pathfinding", "cstar-pathfinding", "cstar.pathfinding", "run
 PYASTAR = Peer("pyastar2d", "pyastar2d", "pyastar2d", "astar_path(weights, start, goal)")
 
 WARTHOG_SEARCHES = (
-    ("warthog", "astar4c", Movement(4)),
-    ("warthog", "astar", Movement(8)),
-    ("warthog-jps", "jps2", Movement(8)),
+    ("warthog", "astar4c", Movement(4), "A*"),
+    ("warthog", "astar", Movement(8), "A*"),
+    ("warthog-jps", "jps2", Movement(8), "A*"),
+    ("warthog-jps", "jps2", Movement(8), "jump point search"),
 )
-"""Programs of Warthog on the PATH, the search that each is asked for, and its rule of moves."""
+"""Programs of Warthog on the PATH, the search that each is asked for, its rule of moves, and the
+search of ours that stands beside it.
+"""
 
 PRESETS = ("paper", "dungeon", "cave")
 
@@ -318,19 +322,20 @@ def planners_of(grid: Bytes) -> list[tuple[Peer, Movement, Callable[[Cell, Cell]
 
 
 def warthog_rows(side: int, rounds: int) -> list[Row]:
-    """Return the rows of our A* beside Warthog's A* and jump point search, on maps of each kind.
+    """Return the rows of our searches beside those of Warthog, on maps of each kind.
 
     Raises:
         SystemExit: Warthog finds other costs.
     """
     rows = []
     for kind, grid in grids_of(side).items():
-        for program, search, movement in WARTHOG_SEARCHES:
-            work = f"A*, {kind}, {side} x {side}, {movement.connectivity} moves, per path"
+        for program, search, movement, our_search in WARTHOG_SEARCHES:
+            work = f"{our_search}, {kind}, {side} x {side}, {movement.connectivity} moves, per path"
             if shutil.which(program) is None:
                 rows.append(Row(work, note=f"Warthog, {search}: skipped"))
                 continue
             ends, costs = solvable_ends_of(grid, movement)
+            solve = partial(OUR_SEARCHES[our_search], grid, movement, ends)
             ours: list[float] = []
             theirs: list[float] = []
             with tempfile.TemporaryDirectory() as name:
@@ -340,7 +345,7 @@ def warthog_rows(side: int, rounds: int) -> list[Row]:
                     if not np.allclose(found["pcost"], costs, rtol=1e-5):  # it prints six digits
                         raise SystemExit(f"mapdata and Warthog, {search} differ on {kind}")
                     theirs.append(float(found["nanos"].sum()) * 1e-9)
-                    ours.append(seconds(partial(_solve_all, partial(_ours, grid, movement), ends)))
+                    ours.append(seconds(solve, calls=20))
             ours, theirs = ours[1:], theirs[1:]  # the first round warms up
             ratio = f"{median_ratio(theirs, ours):.3g}x"
             note = f"Warthog, {search}: equal costs"
@@ -414,6 +419,21 @@ def _solve_all(solve: Callable[[Cell, Cell], Any], ends: list[tuple[Cell, Cell]]
         solve(start, goal)
 
 
+def _by_astar(grid: Bytes, movement: Movement, ends: list[tuple[Cell, Cell]]) -> None:
+    """Solve all problems by A*, one call each."""
+    _solve_all(partial(_ours, grid, movement), ends)
+
+
+def _by_jump_points(grid: Bytes, movement: Movement, ends: list[tuple[Cell, Cell]]) -> None:
+    """Solve all problems by jump point search, in one call, which reads their map once."""
+    starts, goals = np.array(ends, np.int64).transpose(1, 0, 2)
+    JumpPointSearch("jump point search", movement).plan_batch(grid, starts, goals)
+
+
+OUR_SEARCHES = {"A*": _by_astar, "jump point search": _by_jump_points}
+"""How our searches solve the problems of a map."""
+
+
 def table(quick: bool, folder: str | None = None) -> str:
     """Return the table in markdown; ``quick`` takes fewer maps, and ``folder`` is not used."""
     count, rounds = (5, 3) if quick else (20, 5)
@@ -432,7 +452,8 @@ def table(quick: bool, folder: str | None = None) -> str:
             "labels: costs between all rooms, and paths between consecutive ones; ours also has "
             "the iterations of BFS and A*",
             "Warthog: the times that it prints, of its searches without reading files and paths; "
-            "ours include the path and a call from Python. `jps2` is its jump point search",
+            "ours include the path and a call from Python: one for each problem of A*, one for the "
+            "40 problems of a map of jump point search. `jps2` is Warthog's jump point search",
             "Warthog is built from https://github.com/ShortestPathLab/warthog-core and warthog-jps "
             "with `-DCMAKE_BUILD_TYPE=Release -DWARTHOG_INTRIN_ALL=ON`; it is skipped where its "
             "programs are not on the PATH",

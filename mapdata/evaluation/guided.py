@@ -201,7 +201,7 @@ class GuidedSearch(Batched):
                 self.movement.diagonal_cost,
                 self.movement.corner_cutting,
             )
-            plans.append(Plan(path, expansions, prepared=grids[0].size, order=order))
+            plans.append(Plan(path.copy(), expansions, prepared=grids[0].size, order=order))
         return plans
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import heapq
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise, repeat
 
 import numpy as np
 
@@ -137,6 +139,8 @@ class JumpPointSearch(Batched):
     ) -> list[Plan]:
         """Return a plan for each problem: grids (B, H, W), starts and goals (B, 2).
 
+        A single grid (H, W), which all problems share, is read once.
+
         Raises:
             ValueError: there is terrain; what `search_batch` refuses.
         """
@@ -146,10 +150,7 @@ class JumpPointSearch(Batched):
                 "leave it out, as classical(movement, terrain=True) does"
             )
         paths, looks = solve_by_jump_points(grids, starts, goals, self.movement)
-        return [
-            plan._replace(looks=look_count)
-            for plan, look_count in zip(_plans(paths), looks.tolist(), strict=True)
-        ]
+        return _plans(paths, looks=looks.tolist())
 
 
 @dataclass(frozen=True)
@@ -197,7 +198,7 @@ class LandmarkAstar(Batched):
                 "cost the same; leave it out, as classical(movement, terrain=True) does"
             )
         paths, prepared = solve_by_landmarks(grids, starts, goals, self.movement, self.landmarks)
-        return _with_prepared(_plans(paths), prepared)
+        return _plans(paths, prepared.tolist())
 
 
 @dataclass(frozen=True)
@@ -218,7 +219,7 @@ class GoalFieldAstar(Batched):
         paths, field_sizes = solve_by_goal_fields(
             grids, starts, goals, self.movement, terrain=terrain
         )
-        return _with_prepared(_plans(paths), field_sizes)
+        return _plans(paths, field_sizes.tolist())
 
 
 @dataclass(frozen=True)
@@ -237,8 +238,7 @@ class Limit(Batched):
         """Return a plan for each problem: grids and terrain (B, H, W), starts and goals (B, 2)."""
         paths = search_batch("astar", grids, starts, goals, self.movement, terrain=terrain)
         cells_per_path = np.diff(paths.offsets)
-        plans = _plans(paths._replace(iterations=cells_per_path))
-        return _with_prepared(plans, paths.iterations)
+        return _plans(paths._replace(iterations=cells_per_path), paths.iterations.tolist())
 
 
 @dataclass(frozen=True)
@@ -333,16 +333,21 @@ class BestFirst(Batched):
         )
 
 
-def _with_prepared(plans: list[Plan], prepared: Ints) -> list[Plan]:
-    """Return ``plans`` with these numbers of prepared cells, (B,)."""
-    return [
-        plan._replace(prepared=cell_count)
-        for plan, cell_count in zip(plans, prepared.tolist(), strict=True)
-    ]
+def _plans(
+    paths: BatchResult,
+    prepared: Iterable[int] = repeat(0),
+    looks: Iterable[int | None] = repeat(None),
+) -> list[Plan]:
+    """Return the paths of a batch of searches, each as a plan.
 
-
-def _plans(paths: BatchResult) -> list[Plan]:
-    """Return the paths of a batch of searches, each as a plan."""
+    Args:
+        paths: of B problems.
+        prepared: for each problem, how many cells were prepared.
+        looks: for each problem, how many cells were visited, if others than the expanded ones.
+    """
+    ends = pairwise(paths.offsets.tolist())
+    expansions = paths.iterations.tolist()
     return [
-        Plan(paths.path(k), expansions) for k, expansions in enumerate(paths.iterations.tolist())
+        Plan(paths.cells[first:end], *counts)
+        for (first, end), *counts in zip(ends, expansions, prepared, looks, strict=False)
     ]

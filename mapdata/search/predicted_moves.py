@@ -23,7 +23,7 @@ def follow_predictions(
     diagonal_cost: float,
     corner_cutting: bool,
 ) -> tuple[Ints, Int, Int32s]:
-    """Return the path of one problem, (k, 2) cells, and which cells were expanded.
+    """Return the path of one problem, (k, 2) cells as from `_trace`, and which cells were expanded.
 
     Those are their number, and an array (H, W) of the number of the expansion of each cell, -1 for
     the others.
@@ -116,20 +116,25 @@ def follow_predictions(
 def _trace(move_to: Int8s, moves: Ints, start: Ints, goal: Ints) -> Ints:
     """Return the path from start to goal, (k, 2) cells, or (0, 2) where the goal was not reached.
 
+    It is the end of an array with room for all cells of the map.
+
     Args:
         move_to: (H, W), the move that leads to a cell from its parent, or -1 without a parent.
         moves: (moves, 2), rows and columns that each move goes.
         start: (2,), a cell without a parent.
         goal: (2,), a cell.
     """
-    row, column = goal
-    is_start = row == start[0] and column == start[1]
-    if move_to[row, column] == -1 and not is_start:
-        return np.empty((0, 2), np.int64)
+    row = goal[0]
+    column = goal[1]
     # Parents lead from the goal to the start, so the array is filled from its end.
     cells = np.empty((move_to.size, 2), np.int64)  # no path has more cells than the map
-    first = len(cells) - 1
-    cells[first] = goal
+    first = len(cells)
+    is_start = row == start[0] and column == start[1]
+    if move_to[row, column] == -1 and not is_start:
+        return cells[first:]
+    first -= 1
+    cells[first, 0] = row
+    cells[first, 1] = column
     while row != start[0] or column != start[1]:
         move = move_to[row, column]
         row -= moves[move, 0]
@@ -137,4 +142,4 @@ def _trace(move_to: Int8s, moves: Ints, start: Ints, goal: Ints) -> Ints:
         first -= 1
         cells[first, 0] = row
         cells[first, 1] = column
-    return cells[first:].copy()
+    return cells[first:]

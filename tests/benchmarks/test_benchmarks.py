@@ -391,7 +391,9 @@ def test_other_costs_of_warthog_stop_the_run(
     """A program in its place that prints one cell too many."""
     _, costs = graphs.solvable_ends_of(WALLED, Movement(4))
     monkeypatch.setattr(graphs, "grids_of", lambda _: {"walled": WALLED})
-    monkeypatch.setattr(graphs, "WARTHOG_SEARCHES", [("false-warthog", "astar4c", Movement(4))])
+    monkeypatch.setattr(
+        graphs, "WARTHOG_SEARCHES", [("false-warthog", "astar4c", Movement(4), "A*")]
+    )
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
     for extra in (0, 1):
         lines = [
