@@ -7,6 +7,7 @@ kernels in it. The difference of the two is what compiling costs.
 from __future__ import annotations
 
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -27,6 +28,24 @@ def batch(build="paper", fields=("map", "start", "goal", "path"), **options):
 """
 """What the programs of batches begin with."""
 
+README = Path(__file__).parent.parent / "README.md"
+
+
+def readme_training(sets: int, steps: int) -> str:
+    """Return README's second program, which trains on so many sets of maps, so many steps each.
+
+    Raises:
+        ValueError: README has no such program any more.
+    """
+    programs = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+    shortened, count = re.subn(
+        r"SETS, STEPS = \d+, \d+", f"SETS, STEPS = {sets}, {steps}", programs[1]
+    )
+    if count != 1:
+        raise ValueError("README.md: expected SETS and STEPS once in its second program")
+    return shortened
+
+
 USES: dict[str, str] = {
     "build 100 maps of paper": "import sys, mapdata; from mapdata import MapSpec, build; "
     "build(sys.argv[1], MapSpec(), maps=100, workers=1)",
@@ -45,6 +64,7 @@ USES: dict[str, str] = {
     "all classical planners under 8 moves": "from mapdata import *; from mapdata.evaluation import "
     "classical; moves = Movement(8); evaluate(classical(moves), "
     "ProblemSet.sample('paper', seed=1, maps=20, movement=moves))",
+    "README's second program, 2 steps": readme_training(1, 2),
     "one path by A*": "import numpy; from mapdata import astar, Movement; "
     "astar(numpy.zeros((9, 9), 'u1'), (0, 0), (8, 8), Movement(8))",
 }

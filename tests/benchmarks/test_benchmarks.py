@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from benchmarks import __main__ as door
-from benchmarks import graphs, loading, making, measure, naive, paths, terrain
+from benchmarks import first_uses, graphs, loading, making, measure, naive, paths, terrain
 from benchmarks.measure import Peer, Row
 from mapdata import MapSpec, Movement, build, distance_field, generate, label
 from mapdata.formats.movingai import read_terrain, terrain_grid
@@ -62,6 +62,15 @@ def test_a_difference_is_seen(search: str) -> None:
     for name, bad in broken.items():
         labels_with_it = replace(labels, **{search: bad})
         assert naive.differences(labels_with_it, 0) == [f"{search} {name}"]
+
+
+def test_the_first_use_of_readme_is_its_training() -> None:
+    """The program is the one that README prints the table of, with fewer steps."""
+    program = first_uses.readme_training(1, 2)
+    lines = set(first_uses.README.read_text(encoding="utf-8").splitlines())
+    new = [line for line in program.splitlines() if line not in lines]
+    assert [line.partition("  #")[0] for line in new] == ["SETS, STEPS = 1, 2"]
+    assert "score_paths(test, paths)" in program
 
 
 def test_a_difference_of_maps_is_seen() -> None:
