@@ -6,8 +6,11 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Generator
+from pathlib import Path
 
 import pytest
+from _pytest.doctest import DoctestModule
 from helpers.cpu_times import CpuTimes
 from helpers.examples import ARE_ALL, Some, some
 from helpers.selection import mark_further_combinations
@@ -17,6 +20,14 @@ from hypothesis import HealthCheck, settings
 # hundred times slower.
 os.environ["OMP_NUM_THREADS"] = "1"
 os.environ["MKL_NUM_THREADS"] = "1"
+
+# The default run optimizes kernels less, so that compiling takes a quarter less. They have a cache
+# folder of their own, since numba does not tell them from those that users run. `.ci/run` sets
+# NUMBA_OPT=3, numba's own default.
+if not ARE_ALL and "NUMBA_OPT" not in os.environ:
+    caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    os.environ["NUMBA_OPT"] = "1"
+    os.environ["NUMBA_CACHE_DIR"] = str(caches / "mapdata-tests")
 
 # The same examples on every machine, however busy it is.
 settings.register_profile(
@@ -44,6 +55,13 @@ def pytest_configure(config: pytest.Config) -> None:
         from helpers.kernels import share_compiling
 
         share_compiling(config.cache.mkdir("kernels"))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collect_file() -> Generator[None, list[pytest.Collector], list[pytest.Collector]]:
+    """Look for doctests in `mapdata/` only: those of the tests would take a second to not find."""
+    collectors = yield
+    return [one for one in collectors if not isinstance(one, DoctestModule)]
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest chooses the tests by their marks

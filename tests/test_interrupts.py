@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from helpers.examples import slow
 from helpers.pages import ROOT
 
 from mapdata.interrupts import STOPPED
@@ -80,9 +81,9 @@ def console_script() -> list[str]:
     ("module", "program", "arguments"),
     [
         ("argparse", COMMAND, BUILD),
-        ("argparse", console_script(), BUILD),
+        slow("argparse", console_script(), BUILD),
         ("numba.core.config", COMMAND, BUILD),
-        ("argparse", ["scripts/build_shards.py"], []),
+        slow("argparse", ["scripts/build_shards.py"], []),
         pytest.param("matplotlib", ["scripts/evaluate_planners.py"], [], marks=pytest.mark.slow),
         pytest.param("matplotlib", ["scripts/evaluate_sampler.py"], [], marks=pytest.mark.slow),
         pytest.param(
@@ -97,7 +98,7 @@ def console_script() -> list[str]:
             [],
             marks=pytest.mark.slow,
         ),
-        ("pytorch_lightning", ["-m", "mapdata.models.train"], ["path_predictor", "fit"]),
+        slow("pytorch_lightning", ["-m", "mapdata.models.train"], ["path_predictor", "fit"]),
         pytest.param(
             "matplotlib", ["-m", "mapdata.models.evaluate"], ["planners"], marks=pytest.mark.slow
         ),
@@ -127,6 +128,7 @@ atexit.register(signal.raise_signal, signal.SIGINT)  # registered first, it runs
 """
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_python_shuts_down_changes_nothing(tmp_path: Path) -> None:
     """The work is done: the exit code is that of the command."""
     done = pressed(tmp_path, AT_EXIT, COMMAND, ["--version"])
@@ -134,6 +136,7 @@ def test_ctrl_c_while_python_shuts_down_changes_nothing(tmp_path: Path) -> None:
     assert done.returncode == 0
 
 
+@pytest.mark.slow
 def test_ignored_ctrl_c_stays_ignored(tmp_path: Path) -> None:
     """A background job of a shell goes on when Ctrl-C is pressed for another one."""
     site = SITE.format(module="argparse", action="press()")

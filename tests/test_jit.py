@@ -283,6 +283,7 @@ def kernels_of(tree: ast.Module) -> Iterator[ast.FunctionDef]:
                 yield node
 
 
+@pytest.mark.slow
 def test_kernels_use_nothing_that_the_hash_does_not_cover() -> None:
     """Every file with compiled code is hashed, and so is every file that compiled code takes names
     from.

@@ -302,6 +302,7 @@ def test_every_planner_of_ones_own_is_a_row(
     assert "nan" not in out
 
 
+@pytest.mark.slow
 def test_a_part_of_a_suite(module: str, capsys: pytest.CaptureFixture[str]) -> None:
     """The file has the rows of `evaluate_suite`; a search of one's own has no expansions."""
     flags = ["--suite", "carry-over-1", "--planner", f"{module}:Mine", "--json", "a.json"]

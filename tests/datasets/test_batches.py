@@ -105,6 +105,7 @@ def test_a_forked_worker_reads_and_unmaps_for_itself_alone(root: Path) -> None:
     samples.assert_same(dataset[:], expected)
 
 
+@pytest.mark.slow
 def test_threads_that_open_at_once(root: Path) -> None:
     """A shard that two threads open is mapped once: no thread reads what another one unmapped."""
     dataset = MapDataset(root, fields=FIELDS)

@@ -526,7 +526,7 @@ RESUMED: dict[str, tuple[dict[str, Any], dict[str, Any], int]] = {
 """Arguments of the data module, of model and Trainer, and the step that is gone on from."""
 
 
-QUICK_RESUMED = ("random", "workers", "second-epoch")
+QUICK_RESUMED = ("random", "second-epoch")
 """Cases that README's test command tries; the others are slow."""
 
 

@@ -23,6 +23,7 @@ import pytest
 import torch
 from helpers import hostile, reference, samples
 from helpers.builds import SOUND_SEED, SOUND_SPEC, publish
+from helpers.examples import slow
 from helpers.figures import assert_lines, drawn, figure_of
 from helpers.imported import imported
 from helpers.specs import MOVEMENTS
@@ -1223,7 +1224,7 @@ few_cores = pytest.mark.filterwarnings("ignore:This DataLoader will create 3 wor
 @pytest.mark.parametrize(
     ("workers", "method"),
     [
-        (1, "fork"),
+        slow(1, "fork"),
         (3, "fork"),
         pytest.param(1, "spawn", marks=pytest.mark.slow),
         pytest.param(1, "forkserver", marks=pytest.mark.slow),
@@ -1240,6 +1241,7 @@ def test_workers_change_nothing(root: str, workers: int, method: str) -> None:
     samples.assert_all_same(list(loader), expected)
 
 
+@pytest.mark.slow
 @few_cores
 def test_online_workers_change_nothing() -> None:
     """The same of maps made in the workers."""

@@ -260,6 +260,7 @@ def test_a_pickled_set_is_the_same_and_cannot_be_written_to(is_shared: bool) -> 
             array[0] = 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["fork", pytest.param("spawn", marks=pytest.mark.slow)])
 def test_workers_change_nothing(method: str) -> None:
     """Batches of workers are those of the process itself, from own and from shared maps."""

@@ -272,10 +272,10 @@ def test_stored_problems_are_solved_anew(
         assert_true(every[k], grid, search, every.movement)
 
 
-@pytest.mark.parametrize("movement", [Movement(), Movement(8)], ids=["4", "8"])
+@pytest.mark.parametrize("movement", [slow(Movement()), Movement(8)], ids=["4", "8"])
 @pytest.mark.parametrize("online", [slow(False), True])
 def test_random_problems_are_sampled_on_the_inflated_map(
-    roots: dict[str, str], online: bool, movement: Movement
+    some: Some, roots: dict[str, str], online: bool, movement: Movement
 ) -> None:
     """Those of the reference there, on the next map where it has none; the same as `ProblemSet`."""
     problems = Random(distance=(4, None))
@@ -295,7 +295,7 @@ def test_random_problems_are_sampled_on_the_inflated_map(
             continue
         maps.append(k)
         assert ends_of(dataset[k]) == (truth.start, truth.goal)
-        if k % 5 == 0:
+        if k % (MAPS // some(8)) == 0:
             assert_true(dataset[k], grid, "astar", movement)
     assert MAPS / 2 < len(maps) < MAPS
 

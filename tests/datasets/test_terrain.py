@@ -689,6 +689,7 @@ def test_roots_with_and_without_terrain_are_no_dataset(
     samples.assert_same(twice[:12], twice[12:])
 
 
+@pytest.mark.slow
 def test_a_data_module_serves_terrain(roots: dict[str, str]) -> None:
     """With the fields, the dtype and the plot of its dataset."""
     data = MapDataModule(

@@ -179,6 +179,7 @@ def test_a_tile_depends_only_on_seed_key_cell_and_cost() -> None:
     assert {*(columns // 8)} == {3}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [1, 5, 15])
 def test_noise_has_its_standard_deviation(noise: int) -> None:
     """And mean 0, a normal distribution, and no correlation of neighbours and channels."""
@@ -215,6 +216,7 @@ def halves(textures: Bytes, noise: int) -> tuple[npt.NDArray[np.float32], ...]:
     return first.reshape(-1, 3, 8, 8), second.reshape(-1, 3, 8, 8)
 
 
+@pytest.mark.slow
 def test_no_two_textures_of_a_map_are_equal() -> None:
     """A bank has 1,024 different textures for each cost, also where costs look alike."""
     for alike in (False, True):

@@ -49,7 +49,9 @@ ELSEWHERE = {
 SOAK = {"tutorial.md"}
 """Pages whose code takes minutes."""
 
-SLOW = {"distributed.md", "families.md", "gallery.md", "pretrained.md"} | {
+SLOW = {
+    *("distributed.md", "families.md", "gallery.md", "loading.md", "pretrained.md", "suite.md")
+} | {
     f"howto/{name}.md"
     for name in (
         "coming_from",
@@ -252,6 +254,7 @@ def test_the_paper_page_counts_seed_points_and_detours() -> None:
     assert found.groups() == (str(shared), f"{100 * share:.0f}")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_in_an_empty_folder")
 def test_ariadne_reads_the_pictures_of_the_page() -> None:
     """Its loader takes the mean of three channels; the 128th pixel of 208 is the start, of cells

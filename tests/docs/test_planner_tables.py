@@ -137,6 +137,7 @@ def test_the_row_without_a_network_is_measured_alone(
     assert f"| {expansions:+.3f} [" in page
 
 
+@pytest.mark.slow
 def test_the_sample_is_measured_alone(
     tables: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -169,7 +170,7 @@ def test_the_sample_is_measured_alone(
     assert "| maze-hard-5 | " in page
 
 
-QUICK_SETS = ("dungeon-hard-1000", "narrow-4-hard-300", "mazes-cut-300", "noise-4-hard-300")
+QUICK_SETS = ("narrow-4-hard-300", "mazes-cut-300")
 """Sets of few and small maps, which the quick run draws."""
 
 

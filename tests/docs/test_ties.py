@@ -22,6 +22,7 @@ def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return ties
 
 
+@pytest.mark.slow
 def test_paths_of_eight_moves_are_counted_as_networkx_counts_them(script: ModuleType) -> None:
     """All moves cost 1 and may cut corners, as in planning-datasets."""
     movement = Movement(8, corner_cutting=True, diagonal_cost=1)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.examples import slow
 from scipy import ndimage
 
 from mapdata import PRESETS, Plan, astar, evaluate
@@ -36,6 +37,9 @@ from mapdata.generators import generate
 from mapdata.limits import Cell
 
 PARTS = {part.name: part for part in SUITES["carry-over-1"]}
+
+FEW_PARTS = {"cave-64", "terrain-64", *(f"{shape}-64" for shape in SHAPES)}
+"""Small maps of each family that only a suite has, one that others have, and terrain."""
 
 
 def drawn(shape: str, side: int = 64, count: int = 20) -> Bytes:
@@ -68,7 +72,7 @@ def test_no_preset_is_a_family_that_is_held_out() -> None:
     assert not any(isinstance(generator, HeldOut) for generator in PRESETS.values())
 
 
-@pytest.mark.parametrize("name", PARTS)
+@pytest.mark.parametrize("name", [name if name in FEW_PARTS else slow(name) for name in PARTS])
 def test_the_problems_of_a_part_are_the_frozen_ones(name: str) -> None:
     """Two hundred problems, each on a map of its own; off terrain all of them are hard."""
     part = PARTS[name]
@@ -226,6 +230,7 @@ def test_a_row_is_that_of_evaluate_on_the_problems_of_the_part(table: pd.DataFra
         assert origin == ["bars-64", "out", 64, part.content_hash]
 
 
+@pytest.mark.slow
 def test_the_classical_rows_are_those_that_take_the_maps(table: pd.DataFrame) -> None:
     """On terrain there are no landmarks, and there is A* on mean cost."""
     rough = evaluate_suite([], parts=["terrain-64"], bootstrap=2)

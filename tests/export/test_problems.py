@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.examples import slow
 from helpers.grids import random_grids
 from helpers.reference import add, reference_distances
 from scipy.sparse import csr_matrix
@@ -153,7 +154,7 @@ def test_a_dataset_that_is_open_is_no_source(tmp_path: Path) -> None:
         export_problems(Subset(dataset, [1, 2]), tmp_path / "out")  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("name", ["hrm", "maze-hard"])
+@pytest.mark.parametrize("name", ["hrm", slow("maze-hard")])
 def test_notes_count_the_mazes_that_are_their_own_solution(name: str, tmp_path: Path) -> None:
     """Start and goal are neighbours; a band of lengths leaves these problems out."""
     notes = export_problems("maze15", tmp_path / "all", format=name, count=200)
@@ -228,6 +229,7 @@ def test_notes_count_the_problems_whose_maps_are_also_in_train(tmp_path: Path) -
         assert not [note for note in notes if "also in train" in note]
 
 
+@pytest.mark.slow
 def test_an_export_says_what_its_problems_are_worth(tmp_path: Path) -> None:
     """Of the problems that it wrote; a path is one of several answers where mazes are no trees."""
     rooms = MapSpec((20, 20), (2, 5), (4, 9), (4, 9))
@@ -589,6 +591,7 @@ def test_labels_of_mazes_are_of_no_search(tmp_path: Path, format: str) -> None: 
 # --- Parquet --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_parquet_rows_are_problems(root: str, tmp_path: Path) -> None:
     """As Hugging Face ``datasets`` opens them, with the Hub's names of the splits."""
     datasets = pytest.importorskip("datasets")

@@ -512,6 +512,7 @@ def test_brightness_is_exact(tmp_path: Path) -> None:
         read_pixels(tmp_path / "none.png")
 
 
+@pytest.mark.slow
 def test_the_command_imports_pictures_of_two_sizes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

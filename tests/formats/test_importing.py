@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from helpers import reference
+from helpers.examples import slow
 from helpers.grids import random_grids
 from helpers.imported import collection
 from helpers.wild import cli
@@ -350,7 +351,7 @@ def test_an_unknown_split_is_refused(split: object) -> None:
         ForeignMap("x", np.zeros((3, 3), np.uint8), split=split)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("size", "count"), [((512, 512), 64), ((4096, 700), 5)])
+@pytest.mark.parametrize(("size", "count"), [slow((512, 512), 64), ((4096, 700), 5)])
 def test_a_repaired_manifest_is_that_of_the_import(
     size: tuple[int, int], count: int, tmp_path: Path
 ) -> None:

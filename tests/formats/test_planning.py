@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
+from helpers.examples import slow
 from helpers.wild import GRIDS, SETTINGS, Bytes, cli, lengths, npy, npz
 from hypothesis import given
 from hypothesis import strategies as st
@@ -213,7 +214,7 @@ def test_published_files_are_read(tmp_path: Path) -> None:
     assert dataset.manifest.maps == 2
 
 
-@pytest.mark.parametrize("movement", [None, Movement(8)])
+@pytest.mark.parametrize("movement", [slow(None), Movement(8)])
 def test_published_mazes_serve_training_and_evaluation(
     movement: Movement | None, tmp_path: Path
 ) -> None:

@@ -33,6 +33,7 @@ def test_any_forest_equals_the_reference(generator: Forest, seed: int, index: in
     assert (maps.occupancy[0][tuple(points.T)] == 0).all()
 
 
+@pytest.mark.slow
 def test_cover_is_uniform_in_its_range() -> None:
     """Of noise exactly what was drawn, but for the middle cell; of larger obstacles a little more.
 

@@ -8,7 +8,7 @@ from dataclasses import fields
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers.examples import Some, examples
+from helpers.examples import Some, examples, slow
 from helpers.reference import block, reference_map
 from helpers.specs import specs
 from hypothesis import given
@@ -67,7 +67,7 @@ def test_any_spec_equals_the_reference(generator: MapSpec, seed: int, indices: l
         assert_equals_reference(maps, place, generator, seed)
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", [slow(name) if name == "dungeon128" else name for name in PRESETS])
 def test_presets_equal_the_reference(name: str) -> None:
     """A hundred maps of each preset."""
     generator = MapSpec.preset(name)

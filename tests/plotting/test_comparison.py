@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.examples import slow
 from helpers.figures import assert_tidy, figure_of
 from matplotlib import rc_context
 from matplotlib.axes import Axes
@@ -90,7 +91,7 @@ def new_axes(width: float) -> Axes:
         return Figure(figsize=(width, 5), layout="constrained").add_subplot()
 
 
-@pytest.fixture(scope="module", params=[7.0, 3.75], ids=["page", "phone"])
+@pytest.fixture(scope="module", params=[7.0, slow(3.75)], ids=["page", "phone"])
 def crowded(request: pytest.FixtureRequest) -> Axes:
     """Return a figure of the crowd, with two planners of one's own, whose layout is done."""
     axes = plot_planners(table_of(CROWDED), new_axes(request.param), own=OWN)

@@ -319,6 +319,7 @@ def test_a_large_report_is_small(browser: Browser, tmp_path: Path) -> None:
     assert browser.run("path('astar', 321, 0)") == labels.segment("astar", i, 0).tolist()
 
 
+@pytest.mark.slow
 def test_the_page_is_self_contained_and_reproducible(root: Path) -> None:
     """It loads nothing from elsewhere, and equal datasets give equal pages."""
     text = report(root)

@@ -12,6 +12,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import pytest
+from helpers.examples import slow
 from helpers.figures import assert_lines, assert_tidy, drawn, figure_of
 from helpers.samples import SPEC, WIDE, build_small
 from matplotlib.collections import PathCollection
@@ -210,7 +211,7 @@ def test_the_style_applies_to_new_figures_only() -> None:
     assert dict(mpl.rcParams) == before
 
 
-@pytest.mark.parametrize("generator", [SPEC, WIDE], ids=["4", "8"])
+@pytest.mark.parametrize("generator", [SPEC, slow(WIDE)], ids=["4", "8"])
 def test_matrix_shows_each_cost_and_hatches_pairs_without_a_path(generator: MapSpec) -> None:
     """Texts and colours are those of the stored matrix."""
     labels = some(generator)

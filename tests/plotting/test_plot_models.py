@@ -51,7 +51,7 @@ def test_samples_without_a_map_and_empty_batches_are_refused(tmp_path: Path) -> 
         plot_sample(MapDataset(root)[:3], plot_sample(MapDataset(root)[0]))
 
 
-@pytest.mark.parametrize("count", [1, slow(5), 12])
+@pytest.mark.parametrize("count", [1, slow(5), slow(12)])
 @pytest.mark.parametrize("dtype", [None, torch.float32])
 def test_batch_is_a_grid_of_its_first_samples(
     tmp_path: Path, count: int, dtype: torch.dtype | None
@@ -203,7 +203,10 @@ def test_the_legend_of_a_prediction_has_the_costs_of_both_paths() -> None:
     assert legend_of(axes) == ["shortest, cost 2", "predicted, cost 2"]
 
 
-@pytest.mark.parametrize("shape", [(64, 64), (220, 300), (300, 220), (20, 200), (200, 20), (1, 9)])
+@pytest.mark.parametrize(
+    "shape",
+    [slow((64, 64)), (220, 300), slow((300, 220)), (20, 200), slow((200, 20)), slow((1, 9))],
+)
 def test_a_figure_has_the_proportions_of_its_map(shape: tuple[int, int]) -> None:
     """No more than words need is blank above, below and beside it, except beside a narrow map."""
     grid = np.zeros(shape, np.uint8)

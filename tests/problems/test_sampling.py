@@ -235,6 +235,7 @@ def test_the_problems_stay_what_they_are(
     assert hashlib.sha256(sampled.astype("<i8").tobytes()).hexdigest() == golden
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("movement", [slow(MOVEMENTS[0]), MOVEMENTS[1]])
 def test_goals_are_uniform(movement: Movement) -> None:
     """On a map in two halves each free cell is the goal equally often, and of a goal's half each
@@ -388,6 +389,7 @@ def test_both_ends_of_a_band_are_included(movement: Movement) -> None:
                 assert drawn == (set(within) or {(NO_PROBLEM, NO_PROBLEM)}), band
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("movement", [*map(slow, MOVEMENTS), NEURAL_ASTAR], ids=str)
 def test_frequencies_on_terrain_are_those_of_the_stated_distribution(movement: Movement) -> None:
     """There, a band of length refuses a problem after its goal and start are drawn."""

@@ -204,10 +204,10 @@ def test_without_conditions_the_sampler_of_grids_gives_the_problems_of_terrain(
 
 
 @movements
-@pytest.mark.parametrize("only_route", [0, 1])
-@pytest.mark.parametrize("keep_unsolvable", [0, 1])
+@pytest.mark.parametrize("only_route", [False, True])
+@pytest.mark.parametrize("keep_unsolvable", [False, True])
 def test_pairs_on_terrain_are_those_of_grids_with_paths_by_astar(
-    movement: Movement, only_route: int, keep_unsolvable: int
+    movement: Movement, only_route: bool, keep_unsolvable: bool
 ) -> None:
     """Costs change the path of a pair, not whether it has one; seed points may be occupied."""
     terrains = random_terrains(3, (11, 12), 20)

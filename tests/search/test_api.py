@@ -294,6 +294,7 @@ def long_corridor() -> Bytes:
     return grid
 
 
+@pytest.mark.slow
 def test_a_path_too_long_for_exact_costs_is_refused() -> None:
     """Found where moves are counted, else an error says so."""
     grid = long_corridor()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers.examples import examples
+from helpers.examples import examples, slow
 from helpers.grids import squared_half_cells
 from hypothesis import given
 from hypothesis import strategies as st
@@ -36,7 +36,9 @@ def test_clearance_equals_brute_force(grid: Grid) -> None:
     np.testing.assert_array_equal(clearance(grid), expected.astype(np.float32))
 
 
-@pytest.mark.parametrize("name", ["paper", "dungeon", "maze", "cave", "forest", "noise"])
+@pytest.mark.parametrize(
+    "name", ["paper", slow("dungeon"), slow("maze"), "cave", slow("forest"), slow("noise")]
+)
 def test_clearance_agrees_with_scipy(name: str) -> None:
     """With its exact distance transform between the corners of cells, nine times as many.
 
@@ -52,6 +54,7 @@ def test_clearance_agrees_with_scipy(name: str) -> None:
         assert (clearance(grid)[grid == 1] == 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:radius_cells. a robot .* is within one cell")
 @examples(200)
 @given(GRIDS, st.fractions(0, 6, max_denominator=20))

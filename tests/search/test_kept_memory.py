@@ -6,7 +6,7 @@ import threading
 
 import numpy as np
 import pytest
-from helpers.examples import Some
+from helpers.examples import Some, slow
 from helpers.specs import movements
 
 from mapdata import astar, bfs
@@ -20,7 +20,7 @@ CUTTING = Movement(8, corner_cutting=True)
 
 
 @movements
-@pytest.mark.parametrize("side", [256, 1024])
+@pytest.mark.parametrize("side", [256, slow(1024)])
 def test_a_plain_call_faults_in_no_pages(some: Some, movement: Movement, side: int) -> None:
     """What a search writes to is there from the call before."""
     resource = pytest.importorskip("resource")

@@ -286,6 +286,7 @@ def test_costs_without_a_path_take_the_place_of_what_memory_held(has_terrain: bo
     assert costs.tolist() == [[4 if has_terrain else 2, 0], [-1, 0], [-1, 0]]
 
 
+@pytest.mark.slow
 def test_the_papers_shares() -> None:
     """The design's figures: about 99 % of paper segments have a path, about 96 % of paper maps are
     one component.

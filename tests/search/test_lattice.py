@@ -124,6 +124,7 @@ def test_costs_order_paths_exactly() -> None:
     assert DIAGONAL % 2 == 1  # so that a pair can be read back from its sum
 
 
+@pytest.mark.slow
 def test_costs_order_all_paths_exactly() -> None:
     """Whatever two paths below the bound differ by in diagonal moves, d: d * sqrt(2) lies between
     the same whole numbers as it does in fixed point, so that no difference in straight moves turns

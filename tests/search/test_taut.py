@@ -173,7 +173,7 @@ def test_taut_lines_are_nearly_as_short_as_a_visibility_graph() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:radius_cells. a robot .* is within one cell")
-@pytest.mark.parametrize("radius", [0.3, 0.5, 0.7071, 1.2, 1.5])
+@pytest.mark.parametrize("radius", [slow(0.3), 0.5, slow(0.7071), 1.2, slow(1.5)])
 def test_lines_for_a_robot_keep_its_distance(radius: float) -> None:
     """By the exact oracle; they are not longer than the path, and mostly shorter."""
     source = np.random.default_rng(5)
@@ -463,6 +463,7 @@ def test_waypoints_divide_the_line_evenly(problems: list[Problem]) -> None:
     assert np.mean(np.array(differences) <= 2 * math.sqrt(2) / CELL) > 0.8
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:radius_cells. a robot .* is within one cell")
 def test_waypoints_for_a_robot_keep_its_distance() -> None:
     """By the exact oracle, although points between the bends are rounded."""

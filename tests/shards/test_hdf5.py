@@ -256,6 +256,7 @@ def places_of_metadata(image: bytes) -> list[int]:
     return np.flatnonzero(is_metadata).tolist()
 
 
+@pytest.mark.slow
 def test_metadata_that_pass_are_read_by_h5py(sound: Path) -> None:
     """A flipped bit that `open_shard` does not name changes nothing that h5py reads."""
     image = sound.read_bytes()

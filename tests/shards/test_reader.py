@@ -48,6 +48,7 @@ def served(root: Path) -> list[torch.Tensor]:
     return found
 
 
+@pytest.mark.slow
 def test_no_flipped_bit_is_served(tmp_path: Path) -> None:
     """One bit in each array of a shard, and many anywhere: an error, or the data as they were."""
     manifest = build(tmp_path, SPEC, maps=6, seed=3)

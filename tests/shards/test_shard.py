@@ -185,6 +185,7 @@ def test_arrays_are_aligned_read_only_views(sound: Sound) -> None:
     assert not any(array.flags.writeable for array in arrays.values())
 
 
+@pytest.mark.slow
 @LINUX
 def test_opening_leaks_nothing(sound: Sound) -> None:
     """A shard holds a mapping and no descriptor, and gives the memory back, of shards that were
@@ -278,6 +279,7 @@ except OSError as error:
 """
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
     """A real failing write (RLIMIT_FSIZE): an OSError, and no file under any name."""
     command = [sys.executable, "-c", FULL_DISK, str(tmp_path / "shard.h5")]

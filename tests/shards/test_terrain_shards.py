@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from helpers import hostile, reference
 from helpers.builds import InTheCaller, publish, restated
-from helpers.examples import examples
+from helpers.examples import Some, examples
 from helpers.families import PILLARS, forget
 from helpers.specs import MOVEMENTS, SIDES, movements
 from helpers.terrain_maps import imported_header, labelled_terrain, random_terrain_maps
@@ -365,14 +365,14 @@ def regions(path: Path) -> dict[str, range]:
     return found
 
 
-def test_a_flipped_bit_in_any_region_is_found(copied: Path) -> None:
+def test_a_flipped_bit_in_any_region_is_found(some: Some, copied: Path) -> None:
     """In the terrain, in every other dataset and in the metadata between them."""
     path = first_shard(copied)
     image = path.read_bytes()
     random = Random(5)
     assert "terrain" in regions(path)
     for name, region in regions(path).items():
-        for _ in range(20 if name == "terrain" else 3):
+        for _ in range(some(20 if name == "terrain" else 3)):
             damaged = bytearray(image)
             damaged[random.choice(region)] ^= 1 << random.randrange(8)
             path.write_bytes(damaged)

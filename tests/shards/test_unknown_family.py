@@ -208,6 +208,7 @@ def test_what_needs_the_family_says_so_on_one_line(root: Path, tmp_path: Path) -
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.slow
 def test_verbs_that_read_need_no_family(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Info, show, report and export; the card says how the maps are made again."""
     for line in (
