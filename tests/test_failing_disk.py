@@ -194,6 +194,7 @@ WRITES = {"open", "write", "fsync", "rename"}
 """The calls of a write that is atomic and outlives a power cut."""
 
 
+@pytest.mark.slow
 def test_a_build(empty: Path, tmp_path: Path) -> None:
     """Finished shards stay, and the manifest never lists a shard that is not there."""
     assert let_each_call_fail(tmp_path, empty, BUILD) == WRITES | {"mkdir"}

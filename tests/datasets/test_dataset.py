@@ -1057,8 +1057,13 @@ def test_refused_arguments_of_one_dataset(root: str) -> None:
         OnlineMapDataset(samples.SPEC, seed=-3)
     with pytest.raises(ValueError, match=r"split: the spec gives no map to 'val'"):
         OnlineMapDataset(replace(samples.SPEC, splits=(1.0, 0.0, 0.0)), split="val")
-    dataset = MapDataset(root)
-    for conditions, says in (
+    with pytest.raises(ValueError, match="filter: random problems are not stored"):
+        MapDataset(root, problems="random").filter(rooms=(2, 3))
+
+
+@pytest.mark.parametrize(
+    ("conditions", "says"),
+    [
         ({}, "filter: got no condition, expected one of rooms, path_length"),
         ({"rooms": (1, 2, 3)}, r"rooms: got \(1, 2, 3\), expected \(lowest, highest\)"),
         ({"rooms": 3}, r"rooms: got 3, expected \(lowest, highest\)"),
@@ -1066,11 +1071,15 @@ def test_refused_arguments_of_one_dataset(root: str) -> None:
         ({"path_length": "ab"}, "path_length: got 'ab'"),
         ({"hardness": (math.nan, 2)}, "hardness: got"),
         ({"reachable": "false"}, "reachable: got 'false', expected True or False"),
-    ):
-        with pytest.raises(ValueError, match=says):
-            dataset.filter(**conditions)
-    with pytest.raises(ValueError, match="filter: random problems are not stored"):
-        MapDataset(root, problems="random").filter(rooms=(2, 3))
+    ],
+)
+def test_conditions_of_a_filter_that_cannot_be_are_refused(
+    root: str, conditions: dict[str, Any], says: str
+) -> None:
+    """The message names the condition and what it may be."""
+    dataset = MapDataset(root)
+    with pytest.raises(ValueError, match=says):
+        dataset.filter(**conditions)
 
 
 def test_a_missing_dataset_of_a_relative_path_says_where_it_was_sought(
@@ -1508,20 +1517,17 @@ def test_truncated_and_swapped_shards_are_refused(kind: str, root: str, tmp_path
     assert dataset[-1].map.shape == (1, 20, 20)  # the others are sound
 
 
-def test_manifests_that_lead_elsewhere_are_refused(root: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "name",
+    ["../maps-000000000000-000000000016.h5", "/etc/passwd", "manifest.json", "a/maps-0-1.h5"],
+)
+def test_manifests_that_lead_elsewhere_are_refused(root: str, name: str, tmp_path: Path) -> None:
     """Names of shards are names of shards: no folder, no `..`."""
     copy = tmp_path / "maps"
     shutil.copytree(root, copy)
-    manifest = read_manifest(copy)
-    for name in (
-        "../maps-000000000000-000000000016.h5",
-        "/etc/passwd",
-        "manifest.json",
-        "a/maps-0-1.h5",
-    ):
-        rewrite(manifest, copy, name=name)
-        with pytest.raises(ShardError, match="is not the name of a shard"):
-            MapDataset(copy)
+    rewrite(read_manifest(copy), copy, name=name)
+    with pytest.raises(ShardError, match="is not the name of a shard"):
+        MapDataset(copy)
 
 
 def test_manifests_that_count_otherwise_are_refused(root: str, tmp_path: Path) -> None:
@@ -1539,16 +1545,16 @@ def test_manifests_that_count_otherwise_are_refused(root: str, tmp_path: Path) -
         MapDataset(copy)[0]
 
 
-def test_manifests_that_cannot_be_are_refused(root: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", [-1, 10**15])
+def test_manifests_that_cannot_be_are_refused(root: str, count: int, tmp_path: Path) -> None:
     """No memory is asked for by what a manifest claims."""
     copy = tmp_path / "maps"
     shutil.copytree(root, copy)
     manifest = read_manifest(copy)
     counts = manifest.shards[0].counts
-    for count in (-1, 10**15):
-        rewrite(manifest, copy, counts={**counts, "train": {**counts["train"], "route": count}})
-        with pytest.raises(ShardError, match=str(count)):
-            MapDataset(copy, "train")
+    rewrite(manifest, copy, counts={**counts, "train": {**counts["train"], "route": count}})
+    with pytest.raises(ShardError, match=str(count)):
+        MapDataset(copy, "train")
 
 
 def test_a_map_of_more_rooms_than_stated_is_refused(tmp_path: Path) -> None:

@@ -34,12 +34,11 @@ from mapdata import (
     Sample,
     astar,
     bfs,
-    check_path,
     clearance,
     distance_field,
     generate,
 )
-from mapdata.search import STEPS, SearchResult
+from mapdata.search import SearchResult
 
 Array = npt.NDArray[Any]
 
@@ -122,18 +121,11 @@ def solved(grid: Array, start: Cell, goal: Cell, search: str, movement: Movement
     return SEARCHES[search](grid, start, goal, movement)
 
 
-def moves_to_goal(grid: Array, costs: Array, movement: Movement) -> Array:
-    """Return, per cell, the bits of the legal moves that lower the cost by their own."""
-    bits = np.zeros(grid.shape, np.uint8)
-    for row, column in np.argwhere(costs > 0).tolist():
-        for bit, (down, right) in enumerate(STEPS[: movement.connectivity].tolist()):
-            try:
-                step = check_path(grid, [(row, column), (row + down, column + right)], movement)
-            except ValueError:
-                continue
-            if np.isclose(costs[row + down, column + right] + step, costs[row, column]):
-                bits[row, column] |= 1 << bit
-    return bits
+def moves_to_goal(grid: Array, goal: Cell, movement: Movement) -> Array:
+    """Return, per cell, the bits of the moves that begin a shortest path."""
+    if grid[goal]:
+        return np.zeros(grid.shape, np.uint8)
+    return reference.reference_moves(grid.tolist(), goal, movement)
 
 
 def probabilities(path: Array, costs: Array, grid: Array, movement: Movement) -> Array:
@@ -188,7 +180,7 @@ def assert_true(sample: Sample, grid: Array, search: str, movement: Movement) ->
         "goal_mask": mask_of([goal], grid),
         "optimal_mask": on_best & solvable,
         "cost_to_go": costs,
-        "optimal_moves": moves_to_goal(grid, costs, movement),
+        "optimal_moves": moves_to_goal(grid, goal, movement),
         "heuristic_ratio": ratio,
         "path_probability": probabilities(best_path, costs, grid, movement),
         "clearance": clearance(grid),

@@ -5,8 +5,9 @@ bad input refused.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -307,11 +308,15 @@ def test_weights_below_zero_or_not_finite_are_refused(weight: float) -> None:
         BestFirst("weighted", Movement(), weight)
 
 
-def test_a_number_is_no_movement() -> None:
-    """Neither for planners nor for problems: the error names what is expected."""
-    for ask in (classical, lambda movement: ProblemSet.sample("dungeon", movement=movement)):
-        with pytest.raises(ValueError, match=r"got 8, expected a Movement, such as Movement\(8\)"):
-            ask(8)  # type: ignore[arg-type]
+@pytest.mark.parametrize(
+    "ask",
+    [classical, lambda movement: ProblemSet.sample("dungeon", movement=movement)],
+    ids=["planners", "problems"],
+)
+def test_a_number_is_no_movement(ask: Callable[[Any], object]) -> None:
+    """The error names what is expected."""
+    with pytest.raises(ValueError, match=r"got 8, expected a Movement, such as Movement\(8\)"):
+        ask(8)
 
 
 @pytest.mark.parametrize(

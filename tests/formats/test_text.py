@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -99,9 +100,17 @@ def test_letters_can_be_named(tmp_path: Path) -> None:
     assert foreign_map.seed_points.tolist() == [[3, 7], [1, 1]]
     inverted = read_any(path, "text", occupied=" ", free="o-|", invert=True).maps[0]
     assert np.array_equal(inverted.grid, foreign_map.grid)
-    for options in ({"occupied": ""}, {"free": "#"}, {"occupied": "#S"}):
-        with pytest.raises(ValueError, match="occupied, free: got"):
-            read(path, **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("options", [{"occupied": ""}, {"free": "#"}, {"occupied": "#S"}], ids=str)
+def test_letters_that_contradict_each_other_are_refused(
+    options: dict[str, Any], tmp_path: Path
+) -> None:
+    """No letter at all, a letter that is both, and one that is a seed point."""
+    path = tmp_path / "a.txt"
+    path.write_text("####\n#S.#\n# G#\n####\n")
+    with pytest.raises(ValueError, match="occupied, free: got"):
+        read(path, **options)
 
 
 def drawing(walls: Bytes, post: str, width: int) -> str:

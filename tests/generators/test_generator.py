@@ -247,12 +247,16 @@ def test_a_family_that_counts_in_bytes_is_refused() -> None:
 
 
 def test_what_is_no_family_is_refused() -> None:
-    """A class in place of a generator, and grids of another size."""
+    """A class in place of a generator."""
     with pytest.raises(ValueError, match=r"recipe: got <class .*MapSpec'>, expected a preset"):
         generate(MapSpec, 0, [0])  # type: ignore[arg-type]
-    for shape in ((2, 1, 8), (2, 9, 1), (1, 9, 8), (2, 8, 9), (4, 9, 4)):
-        with pytest.raises(ValueError, match=r"grids: got shape .* expected 2 maps of \(9, 8\)"):
-            with_seed_points(Stripes(), 0, np.arange(2), np.zeros(shape, np.uint8))
+
+
+@pytest.mark.parametrize("shape", [(2, 1, 8), (2, 9, 1), (1, 9, 8), (2, 8, 9), (4, 9, 4)], ids=str)
+def test_grids_of_another_size_are_refused(shape: tuple[int, int, int]) -> None:
+    """A family draws as many maps as it is asked for, of its own size."""
+    with pytest.raises(ValueError, match=r"grids: got shape .* expected 2 maps of \(9, 8\)"):
+        with_seed_points(Stripes(), 0, np.arange(2), np.zeros(shape, np.uint8))
 
 
 def test_maps_keep_their_numbers() -> None:
@@ -268,9 +272,13 @@ def test_indices_are_any_integers_that_can_be_gone_through() -> None:
     for indices in ((k for k in (4, 2)), {4: "d", 2: "b"}.keys(), np.array([4, 2], np.uint8)):
         assert generate(Stripes(), 0, indices).index.tolist() == [4, 2]
     assert len(generate(Stripes(), 0, [])) == 0
-    for wrong in (3, np.array(3), [[1, 2]], [0.5], np.array([1.0])):
-        with pytest.raises(ValueError, match=r"indices: got .* expected integers from 0 to 2"):
-            generate(Stripes(), 0, wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("wrong", [3, np.array(3), [[1, 2]], [0.5], np.array([1.0])], ids=repr)
+def test_what_is_no_sequence_of_integers_is_refused(wrong: Any) -> None:
+    """A number alone, sequences of sequences, and fractions."""
+    with pytest.raises(ValueError, match=r"indices: got .* expected integers from 0 to 2"):
+        generate(Stripes(), 0, wrong)
 
 
 # --- families that are not known ----------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""How much a test tries: by default a fifth of its examples and none of its slow cases.
+"""How much a test tries: by default a part of its examples and none of its slow cases.
 
 `.ci/run` tries all.
 """
@@ -25,13 +25,13 @@ FEWEST = 10
 
 
 def examples(count: int, base: settings | None = None) -> settings:
-    """Return hypothesis settings of so many examples, or by default of a fifth of them.
+    """Return hypothesis settings of so many examples, or by default of a tenth of them.
 
     Args:
         count: number of examples in the full run.
         base: settings that stay otherwise.
     """
-    few = max(count // 5, min(count, FEWEST))
+    few = max(count // 10, min(count, FEWEST))
     return settings(base, max_examples=count if ARE_ALL else few)
 
 

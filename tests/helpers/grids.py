@@ -35,13 +35,12 @@ def squared_half_cells(grid: Bytes) -> npt.NDArray[np.int64]:
     """Return the squared clearance in half cells: every cell against every obstacle."""
     rows, columns = grid.shape
     found = np.zeros(grid.shape, np.int64)
+    obstacles = np.argwhere(grid)
     for row, column in np.argwhere(grid == 0):
         gaps = [2 * int(side) + 1 for side in (row, column, rows - 1 - row, columns - 1 - column)]
-        best = min(gaps) ** 2
-        for other in np.argwhere(grid):
-            down, right = (max(0, 2 * abs(int(step)) - 1) for step in other - (row, column))
-            best = min(best, down**2 + right**2)
-        found[row, column] = best
+        steps = np.maximum(0, 2 * np.abs(obstacles - (row, column)) - 1)
+        to_obstacles = (steps**2).sum(axis=1).min(initial=min(gaps) ** 2)
+        found[row, column] = to_obstacles
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,12 +29,21 @@ def test_points_and_origins_of_another_shape_are_refused() -> None:
         to_metres(points=[[1, 2]], rows=3, resolution=0.5, origin=(0, 0))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"points: got shape \(3,\), expected \(..., 2\)"):
         to_metres(points=[1, 2, 3], rows=3, resolution=0.5)
-    for arguments, message in (
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
         ({}, "points and cells: got neither, expected one"),
         ({"points": [1, 2], "cells": [1, 2]}, "points and cells: got both, expected one"),
         ({"cells": [1.0, 2.0]}, "cells: got numbers of float64, expected integers; points= takes"),
         ({"cells": [1, 2, 3]}, r"cells: got shape \(3,\)"),
         ({"cells": [[1, 2], [-1, -1]]}, "cells: got -1, the padding of paths in batches"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            to_metres(**arguments, rows=3, resolution=0.5)
+    ],
+)
+def test_points_or_cells_that_cannot_be_are_refused(
+    arguments: dict[str, Any], message: str
+) -> None:
+    """One of both is expected, and cells are integers without padding."""
+    with pytest.raises(ValueError, match=message):
+        to_metres(**arguments, rows=3, resolution=0.5)

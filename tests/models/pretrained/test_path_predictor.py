@@ -23,7 +23,7 @@ import pytest
 import pytorch_lightning as pl
 import safetensors
 import torch
-from helpers.examples import slow
+from helpers.examples import Some, slow
 from pytorch_lightning.callbacks import ModelCheckpoint
 from torch.utils.data import DataLoader
 
@@ -276,12 +276,12 @@ def test_the_loss_is_zero_for_any_optimal_policy(
 
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
-def test_whatever_it_predicts_paths_are_valid(movement: Movement) -> None:
+def test_whatever_it_predicts_paths_are_valid(some: Some, movement: Movement) -> None:
     """The paths of a model with random predictions are valid, and all of their cells were expanded.
 
     So no path has more cells than there were expansions.
     """
-    drawn = ProblemSet.sample(DUNGEON, 8, 40, movement=movement)
+    drawn = ProblemSet.sample(DUNGEON, 8, some(40), movement=movement)
     model = random_model(movement)
     for planner in planners(model):
         for plan, grid, *ends in zip(
@@ -358,20 +358,20 @@ def test_plan_and_plan_batch_agree(size: tuple[int, int]) -> None:
         assert sum(same) >= 11
 
 
-def test_the_predicted_path_is_that_of_the_walk() -> None:
+def test_the_predicted_path_is_that_of_the_walk(some: Some) -> None:
     """`predict_path` on tensors of one map gives the path of the walk on a batch of arrays."""
     model = random_model()
-    drawn = ProblemSet.sample(DUNGEON, 8, 40, movement=Movement(8))
+    drawn = ProblemSet.sample(DUNGEON, 8, some(40), movement=Movement(8))
     walks = planners(model)[0].plan_batch(drawn.grids, drawn.starts, drawn.goals)
     for plan, grid, start, goal in zip(walks, drawn.grids, drawn.starts, drawn.goals, strict=True):
         path = model.predict_path(torch.tensor(grid)[None], torch.tensor(start), goal)
         assert path.tolist() == plan.path.tolist()
 
 
-def test_predicted_waypoints_are_the_predicted_path_pulled_taut() -> None:
+def test_predicted_waypoints_are_the_predicted_path_pulled_taut(some: Some) -> None:
     """They are free, hold every bend of that line, and are -1 where there is no path."""
     model = random_model()
-    drawn = ProblemSet.sample(DUNGEON, 8, 20, movement=Movement(8))
+    drawn = ProblemSet.sample(DUNGEON, 8, some(20), movement=Movement(8))
     lines = []
     for grid, start, goal in zip(drawn.grids, drawn.starts, drawn.goals, strict=True):
         line = model.predict_waypoints(torch.tensor(grid)[None], torch.tensor(start), goal, 60)
@@ -663,7 +663,8 @@ def test_learns_from_map_start_goal_path(tmp_path: Path, connectivity: int) -> N
     assert after["moves"] < before["moves"]
 
 
-@pytest.mark.parametrize("connectivity", [slow(4), 8])
+@pytest.mark.slow
+@pytest.mark.parametrize("connectivity", [4, 8])
 def test_resumes(tmp_path: Path, connectivity: int) -> None:
     """Two steps, a checkpoint, and two steps from there give the weights of four steps in one run,
     with maps of several sizes.
