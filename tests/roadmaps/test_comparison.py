@@ -11,6 +11,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 import pytest
+from helpers.examples import Some
 
 from mapdata import Movement, ProblemSet
 from mapdata.models.pretrained.lego.experience import Mining, near_optimal_paths
@@ -61,10 +62,10 @@ def shortest(grid: Grids, problems: ProblemSet, k: int, points: Points) -> float
     return build_roadmap(grid, np.concatenate([ends, points]), max_length).shortest_path()[0]
 
 
-@pytest.mark.slow
-def test_the_table_has_success_and_lengths_of_roadmaps() -> None:
+def test_the_table_has_success_and_lengths_of_roadmaps(some: Some) -> None:
     """They are those of roadmaps that are built one by one, and lie in their intervals."""
-    problems = unseen_problems(40)
+    maps = some(40)
+    problems = unseen_problems(maps)
     rows = contenders({"learned": Learned()})
     with_two_rows = ["gaussian", "bridge", "corners", "medial_axis", "learned"]
     alone = [f"{name}_alone" for name in with_two_rows]
@@ -73,7 +74,7 @@ def test_the_table_has_success_and_lengths_of_roadmaps() -> None:
     sizes = 2
     subsets = 2
     assert len(table) == len(rows) * sizes * subsets
-    assert set(table["problems"]) == {40, int(problems.hard.sum())}
+    assert set(table["problems"]) == {maps, int(problems.hard.sum())}
     assert (table["length_ratio"].isna() == (table["success"] == 0)).all()
     solved_some = table[table["success"] > 0]
     for metric in ("success", "length_ratio"):
@@ -89,7 +90,7 @@ def test_the_table_has_success_and_lengths_of_roadmaps() -> None:
         dense_lengths.append(shortest(grid, problems, k, dense))
     is_solved = np.isfinite(lengths)
     both_solved = is_solved & np.isfinite(dense_lengths)
-    ratios = np.divide(lengths, dense_lengths, where=both_solved, out=np.zeros(40))[both_solved]
+    ratios = np.divide(lengths, dense_lengths, where=both_solved, out=np.zeros(maps))[both_solved]
     of_halton = table[table["sampler"] == "halton"]
     row = of_halton[(of_halton["subset"] == "all") & (of_halton["n"] == 24)].iloc[0]
     assert row["success"] == pytest.approx(is_solved.mean())
