@@ -11,6 +11,7 @@ The default arguments are in pretrained/configs/NAME.yaml. Each of them is also 
 
     python -m mapdata.models.train path_predictor fit --help
 
+These command lines need jsonargparse, the extra [train] (docs/install.md).
 Checkpoints and metrics.csv are written below runs/. In a checkout scripts/train_path_predictor.py
 and scripts/train_lego_sampler.py take the same arguments after --product, without the name.
 
@@ -92,6 +93,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import astuple, replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytorch_lightning as pl
@@ -110,6 +112,12 @@ from .pretrained.model import Model, fast_precision
 
 CONFIGS = Path(__file__).parent / "pretrained" / "configs"
 """The folder of the files of arguments."""
+
+NO_JSONARGPARSE = (
+    "the command lines of trainings need jsonargparse, the extra [train]: "
+    'pip install "jsonargparse[signatures]<5"'
+)
+"""What an install without the extra is told."""
 
 
 @contextmanager
@@ -131,8 +139,13 @@ class TrainingCli(LightningCLI):
             model: the class of which --model names a subclass.
             configs: names of the files in `CONFIGS` with the default arguments of ``fit``.
             arguments: the arguments; None takes those of the process.
+
+        Raises:
+            SystemExit: jsonargparse is missing, or what Lightning or the model refuses.
         """
         print_all_letters()
+        if find_spec("jsonargparse") is None:
+            raise SystemExit(NO_JSONARGPARSE)
         files = [str(CONFIGS / name) for name in configs]
         with (
             stoppable("stopped; fit --ckpt_path FILE continues from a checkpoint"),

@@ -2,11 +2,12 @@
 
 In a fresh environment of any Python, with the versions that are to be tried:
 
-    pip install -e . && NUMBA_CACHE_DIR=$(mktemp -d) python tests/helpers/environment.py
+    pip install -e ".[train]" && NUMBA_CACHE_DIR=$(mktemp -d) python tests/helpers/environment.py
 
 Needs nothing beside the dependencies of mapdata: the lowest versions that pyproject.toml allows are
-tried too, and there is no pytest for each of them. Takes a minute, most of it compiling. Prints
-what fails, and last the row; exit code 1 if anything failed.
+tried too, and there is no pytest for each of them. What needs an extra is tried where it is there.
+Takes a minute, most of it compiling. Prints what fails, and last the row; exit code 1 if anything
+failed.
 """
 
 from __future__ import annotations
@@ -144,9 +145,13 @@ STEPS: dict[str, Callable[[], None]] = {
     "http": served,
     "an epoch": train,
     "out and in": converted,
-    "script": script,
 }
-EXTRAS: dict[str, Callable[[], None]] = {"pyarrow": parquet, "distributed": dask, "scipy": roadmap}
+EXTRAS: dict[str, Callable[[], None]] = {
+    "jsonargparse": script,
+    "pyarrow": parquet,
+    "distributed": dask,
+    "scipy": roadmap,
+}
 """What needs a library that mapdata does without, tried where it is installed."""
 
 

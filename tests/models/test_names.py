@@ -12,7 +12,16 @@ import pytest
 
 from mapdata import models
 from mapdata.evaluation import GuidedSearch
-from mapdata.models import CVAE, CostPredictor, Heatmap, Model, NeuralAstar, PathPredictor, evaluate
+from mapdata.models import (
+    CVAE,
+    CostPredictor,
+    Heatmap,
+    Model,
+    NeuralAstar,
+    PathPredictor,
+    evaluate,
+    train,
+)
 from mapdata.models.pretrained.model import WEIGHTS
 
 FOLDER = Path(models.__file__).parent
@@ -145,6 +154,16 @@ def test_only_samplers_need_scipy(
     assert exited.value.code == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.endswith("roadmaps need scipy, the extra [examples]: pip install scipy")
+
+
+@pytest.mark.parametrize("name", [name for name in train.COMMANDS if name != "lego_sampler"])
+def test_trainings_without_jsonargparse_name_the_extra(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever installs mapdata for its data does without it."""
+    monkeypatch.setitem(sys.modules, "jsonargparse", None)
+    with pytest.raises(SystemExit, match=r"need jsonargparse, the extra \[train\]: pip install "):
+        train.main([name, "fit"])
 
 
 @pytest.mark.parametrize(
