@@ -377,10 +377,11 @@ def test_the_citation_is_that_of_the_readme() -> None:
 
 
 def test_the_changelog_knows_this_version() -> None:
-    """It is the first section below the unreleased one."""
+    """It is the first section below the unreleased one, and of the day of the citation."""
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    sections = re.findall(r"^## \[(.*?)\]", changelog, re.MULTILINE)
-    assert sections[:2] == ["Unreleased", mapdata.__version__]
+    sections = re.findall(r"^## \[(.*?)\](?: - (\S+))?$", changelog, re.MULTILINE)
+    released = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["date-released"]
+    assert sections[:2] == [("Unreleased", ""), (mapdata.__version__, str(released))]
 
 
 @pytest.mark.slow
