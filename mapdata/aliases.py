@@ -20,7 +20,7 @@ def former_names(face: str, module_by_name: Mapping[str, str]) -> Callable[[str]
             raise AttributeError(f"module {face!r} has no attribute {name!r}")
         home = f"{face}.{module_by_name[name]}"
         warnings.warn(
-            f"{face}.{name} will be gone in the next version: it is in {home}",
+            f"{face}.{name} will be gone in 0.5.0: it is in {home}",
             FutureWarning,
             stacklevel=2,
         )

@@ -74,7 +74,9 @@ def __getattr__(name: str) -> object:
         import warnings
 
         warnings.warn(
-            f"mapdata.models.{name} is now mapdata.costmaps.{name}", FutureWarning, stacklevel=2
+            f"mapdata.models.{name} will be gone in 0.5.0: it is now mapdata.costmaps.{name}",
+            FutureWarning,
+            stacklevel=2,
         )
         moved: object = getattr(import_module("mapdata.costmaps"), name)
         return moved

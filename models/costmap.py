@@ -12,7 +12,9 @@ def __getattr__(name: str) -> object:
     if name not in costmaps.__all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     warnings.warn(
-        f"mapdata.models.costmap.{name} is now mapdata.costmaps.{name}", FutureWarning, stacklevel=2
+        f"mapdata.models.costmap.{name} will be gone in 0.5.0: it is now mapdata.costmaps.{name}",
+        FutureWarning,
+        stacklevel=2,
     )
     value: object = getattr(costmaps, name)
     return value

@@ -69,7 +69,9 @@ def test_names_of_costmaps_are_there_for_one_more_version(name: str) -> None:
     from mapdata.models import costmap
 
     for place in (models, costmap):
-        with pytest.warns(FutureWarning, match=rf"is now mapdata\.costmaps\.{name}$"):
+        with pytest.warns(
+            FutureWarning, match=rf"gone in 0\.5\.0: it is now mapdata\.costmaps\.{name}$"
+        ):
             assert getattr(place, name) is getattr(costmaps, name)
     assert name not in models.__all__
 
