@@ -257,9 +257,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--problems", type=int, default=300, help="problems that are compared")
     options = parser.parse_args(arguments)
     pl.seed_everything(1)
+    is_missing = Path(options.root) == Path(ROOT) and not Path(ROOT).exists()
     data = MapDataModule(
         options.root,
-        build="dungeon" if Path(options.root) == Path(ROOT) else None,
+        build="dungeon" if is_missing else None,
         fields=FIELDS,
         problems=HARD,
         movement=MOVEMENT,

@@ -274,8 +274,9 @@ def verify_command(root: list[str], *, repair: bool = False, follow_links: bool 
     if 0 < unrepaired_count == link_count:
         raise DisagreeError("files that are links out of their folder were not read")
     if unrepaired_count > other_fault_count:
+        plural = "s" if fault_count > 1 else ""
         raise DisagreeError(
-            f"{fault_count} faults found; --repair builds shards again if there is a recipe"
+            f"{fault_count} fault{plural} found; --repair builds shards again if there is a recipe"
             f"{requirement}"
         )
     if other_fault_count:

@@ -1012,6 +1012,8 @@ def test_a_missing_dataset_is_named_in_one_line(verb: str, run: Command, tmp_pat
     )
     (tmp_path / "file").touch()
     run.refused(2, f"no dataset at {tmp_path / 'file'}", verb, tmp_path / "file")
+    # Such as an export: a dataset would be written into it.
+    run.refused(2, "there. The folder holds other files: name the folder", verb, tmp_path)
 
 
 def test_a_preset_in_place_of_a_dataset_is_named_as_such(
