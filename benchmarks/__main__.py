@@ -1,5 +1,5 @@
 """The one door to all benchmarks: python -m benchmarks
-[labels|paths|graphs|terrain|making|build|first_uses|loading|bands] [--quick].
+[labels|paths|graphs|terrain|making|build|first_uses|loading|bands|scale] [--quick].
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ TABLES = {
     "loading": "batches beside tensors in RAM, TensorDataset, naive h5py, npz, PNG + CSV, "
     "HF datasets, webdataset, zarr, litdata",
     "bands": "random problems under conditions: how many goals a map gets",
+    "scale": "a million maps: build, open, an epoch, two processes, verify, export",
 }
 PAGE = """# Benchmarks
 

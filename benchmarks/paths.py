@@ -373,6 +373,37 @@ def kinds_of(side: int, rounds: int) -> list[Row]:
     return rows
 
 
+def order_rows(side: int, rounds: int) -> list[Row]:
+    """Return the rows of `search_order`, with and without a heuristic of one's own, beside A*."""
+    grid = grids_of(side)["rooms"]
+    movement = Movement(8)
+    ends = ends_of(grid, 4, near=False)
+    blind = partial(mapdata.search_order, heuristic=np.zeros(grid.shape))
+    rows = []
+    for name, order in (
+        ("search_order", mapdata.search_order),
+        ("search_order with heuristic=", blind),
+    ):
+        contestants = {
+            "order": partial(for_each, partial(order, grid, movement=movement), ends),
+            "A*": partial(for_each, partial(mapdata.astar, grid, movement=movement), ends),
+        }
+        times = interleaved(contestants, rounds)
+        ours, others = (each(times[key], len(ends)) for key in contestants)
+        ratio = f"{median_ratio(times['A*'], times['order']):.3g}x"
+        work = f"{name}, per path, rooms, {side} x {side}, 8-connected"
+        rows.append(
+            Row(work, ours, others, ratio, note="mapdata.astar: the path without the order")
+        )
+    return rows
+
+
+def for_each(solve: Callable[[Cell, Cell], object], ends: list[tuple[Cell, Cell]]) -> None:
+    """Solve each problem."""
+    for start, goal in ends:
+        solve(start, goal)
+
+
 def astar_path(grid: Bytes, movement: Movement, start: Cell, goal: Cell) -> Path:
     """Return our path."""
     return mapdata.astar(grid, start, goal, movement).path
@@ -390,6 +421,7 @@ def table(quick: bool, parent: str | None = None) -> str:
     rows = rows_of(64, count, 100, rounds)
     for side in (64, 1024):
         rows += kinds_of(side, min(rounds, 5))
+    rows += order_rows(64, min(rounds, 5))
     notes = (
         f"{rounds} repeats",
         "maps of the paper's Table 1, larger ones in proportion; paths between consecutive rooms, "

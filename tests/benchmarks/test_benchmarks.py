@@ -268,6 +268,7 @@ TITLES = {
     "first_uses": "First uses",
     "loading": "Loading",
     "bands": "Goals a map gets, under conditions",
+    "scale": "A million maps",
 }
 """What stands above each table."""
 

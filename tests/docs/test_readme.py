@@ -55,6 +55,9 @@ RIVALS = {
     ],
     "a path by A*, beside cstar-pathfinding": [(SINGLE, "cstar-pathfinding")],
     "a path by A*, beside Warthog's A*": [(SINGLE, "Warthog, astar")],
+    "a path by jump point search of many in one call": [
+        (r"jump point search, \w+, 64 x 64", "Warthog, jps2")
+    ],
 }
 """README's rows: the work and the note of the rows of docs/benchmarks.md that each stands for."""
 
