@@ -274,14 +274,17 @@ def verify_command(root: list[str], *, repair: bool = False, follow_links: bool 
     if 0 < unrepaired_count == link_count:
         raise DisagreeError("files that are links out of their folder were not read")
     if unrepaired_count > other_fault_count:
-        plural = "s" if fault_count > 1 else ""
         raise DisagreeError(
-            f"{fault_count} fault{plural} found; --repair builds shards again if there is a recipe"
+            f"{_faults_found(fault_count)}; --repair builds shards again if there is a recipe"
             f"{requirement}"
         )
     if other_fault_count:
-        plural = "s" if other_fault_count > 1 else ""
-        raise DisagreeError(f"{other_fault_count} fault{plural} found")
+        raise DisagreeError(_faults_found(other_fault_count))
+
+
+def _faults_found(count: int) -> str:
+    """Return how many faults were found, in words."""
+    return f"{count} fault{'' if count == 1 else 's'} found"
 
 
 _KINDS = {"dataset": "a dataset", "problem set": "a problem set", "export": "an export"}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 from typing import Any
 
@@ -68,11 +67,6 @@ class DatasetNotFoundError(FileNotFoundError):
             )
         elif "://" in str(root):
             default_hint = "Make one in a folder with 'mapdata build FOLDER', and serve that folder"
-        elif os.path.isdir(str(root)) and os.listdir(str(root)):
-            default_hint = (
-                "The folder holds other files: name the folder of a dataset, or make one in a new "
-                "folder with 'mapdata build FOLDER'"
-            )
         else:
             default_hint = (
                 f"Make one with 'mapdata build {shlex.quote(str(root))}', with "

@@ -255,17 +255,24 @@ def read_manifest(root: Path, follow_links: bool = False) -> Manifest:
         why = f"no {MANIFEST} there" if root.is_dir() else "it does not exist"
         if not root.is_absolute():  # a program may have changed its working folder
             why += f" (that is {root.absolute()})"
-        raise DatasetNotFoundError(root, why, _subfolder_hint(root)) from None
+        raise DatasetNotFoundError(root, why, _folder_hint(root)) from None
 
 
-def _subfolder_hint(root: Path) -> str:
-    """Return the end of an error message that names the datasets in subfolders of ``root``.
+def _folder_hint(root: Path) -> str:
+    """Return the end of an error message for a folder ``root`` that holds something else.
 
-    An import of maps of several sizes makes such folders. The text is empty if there are none.
+    It names the datasets in subfolders, which an import of maps of several sizes makes. Nobody is
+    told to build a dataset into a folder of other files, such as an export. The text is empty if
+    there is nothing in the folder.
     """
     folders = sorted(str(path.parent) for path in root.glob(f"*/{MANIFEST}"))
     if not folders:
-        return ""
+        if not any(root.glob("*")):
+            return ""
+        return (
+            "The folder holds other files: name the folder of a dataset, or make one in a new "
+            "folder with 'mapdata build FOLDER'"
+        )
     names = ", ".join(folders[:_MAX_SUBFOLDERS])
     if len(folders) > _MAX_SUBFOLDERS:
         names += f" and {len(folders) - _MAX_SUBFOLDERS} more"
