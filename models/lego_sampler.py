@@ -54,10 +54,10 @@ def at_corners(maps: Tensor) -> Tensor:
     def occupied(down: int, right: int) -> Tensor:
         return surrounded[..., 1 + down : 1 + down + rows, 1 + right : 1 + right + columns]
 
-    found = torch.zeros_like(maps, dtype=torch.bool)
+    is_corner = torch.zeros_like(maps, dtype=torch.bool)
     for down, right in STEPS[4:].tolist():  # the diagonal moves
-        found |= occupied(down, right) & ~occupied(down, 0) & ~occupied(0, right)
-    return found & ~occupied(0, 0)
+        is_corner |= occupied(down, right) & ~occupied(down, 0) & ~occupied(0, right)
+    return is_corner & ~occupied(0, 0)
 
 
 def targets(batch: Sample) -> Tensor:
@@ -70,9 +70,9 @@ def targets(batch: Sample) -> Tensor:
     turns_next &= batch.path[:, 2:, 0] >= 0  # what follows the goal is padding
     problem, k = turns_next.nonzero(as_tuple=True)
     row, column = batch.path[problem, k + 1].unbind(dim=1)
-    found = torch.zeros_like(batch.map, dtype=torch.bool)
-    found[problem, 0, row, column] = True
-    return found & at_corners(batch.map)
+    is_turn = torch.zeros_like(batch.map, dtype=torch.bool)
+    is_turn[problem, 0, row, column] = True
+    return is_turn & at_corners(batch.map)
 
 
 FIELDS = ("map", "start", "goal", "path", targets)
@@ -231,11 +231,11 @@ class LegoSampler(pl.LightningModule):
         and lowers the shares around it, so that the next point lies elsewhere. The problems are
         grids (B, H, W), and cells (B, 2) as starts and goals.
         """
-        problems = [
-            torch.from_numpy(np.array(each)).to(self.device) for each in (grids, starts, goals)
-        ]
-        log_shares = self(problems[0][:, None], *problems[1:])  # (B, H, W)
-        scores = log_shares.masked_fill(problems[0] == 1, -torch.inf).cpu()  # no point lies there
+        maps, start_cells, goal_cells = (
+            torch.tensor(array, device=self.device) for array in (grids, starts, goals)
+        )
+        log_shares = self(maps[:, None], start_cells, goal_cells)  # (B, H, W)
+        scores = log_shares.masked_fill(maps == 1, -torch.inf).cpu()  # no point lies there
         rows, columns = torch.meshgrid(*map(torch.arange, scores.shape[1:]), indexing="ij")
         cells = []
         for _ in range(n):

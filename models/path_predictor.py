@@ -20,7 +20,6 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import pytorch_lightning as pl
 import torch
 import torch.nn.functional as F  # noqa: N812  (its usual name)
@@ -219,15 +218,17 @@ class MovePredictor(pl.LightningModule):
 
     @torch.inference_mode()
     def predict(self, grids: Bytes, goals: Ints) -> tuple[Float32s, Float32s]:
-        """Return what `forward` returns, as arrays: scores (B, M, H, W) and costs (B, H, W).
+        """Return what `forward` returns in evaluation mode, scores and costs, as arrays.
 
         Args:
             grids: (B, H, W), 0 free and 1 occupied.
             goals: (B, 2), cells.
         """
+        was_training = self.training
         self.eval()
-        maps, cells = (torch.from_numpy(np.array(each)).to(self.device) for each in (grids, goals))
-        scores, costs = self(maps[:, None], cells)
+        maps = torch.tensor(grids, device=self.device)
+        scores, costs = self(maps[:, None], torch.tensor(goals, device=self.device))
+        self.train(was_training)
         return scores.cpu().numpy(), costs.cpu().numpy()
 
     def planner(self, name: str = "learned") -> GuidedSearch:

@@ -93,13 +93,14 @@ def test_the_movement_can_be_changed(movement: Movement, monkeypatch: pytest.Mon
 
 
 def test_predictions_are_those_of_evaluation_mode() -> None:
-    """Also after a training step: batch norm takes its running statistics, not the batch's."""
+    """Also while it trains, which goes on: batch norm takes its running statistics."""
     batch = batch_of(2)
     grids, goals = batch.map[:, 0].numpy(), batch.goal.numpy()
     model = model_of(1)
     expected, _ = model.predict(grids, goals)
     found, _ = model.train().predict(grids, goals)
     np.testing.assert_array_equal(found, expected)
+    assert model.training
 
 
 def test_it_begins_with_the_scores_of_an_empty_map() -> None:
