@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 import mapdata
 from benchmarks.measure import Peer, Row, each, interleaved, median_ratio, seconds, to_text
-from benchmarks.paths import Bytes, Cell, Ints, ends_of, grids_of, none_is_empty
+from benchmarks.paths import Bytes, Cell, Ints, ends_of, grids_of, none_is_empty, solve_all
 from mapdata import MapGenerator, Movement, generate, label
 from mapdata.evaluation import JumpPointSearch
 
@@ -287,8 +287,8 @@ def planner_rows(side: int, rounds: int) -> list[Row]:
                     raise SystemExit(f"mapdata and {peer.name} differ on {kind}: {ours}, {theirs}")
             times = interleaved(
                 {
-                    "ours": partial(_solve_all, partial(_ours, grid, movement), ends),
-                    "theirs": partial(_solve_all, solve, ends),
+                    "ours": partial(solve_all, partial(_ours, grid, movement), ends),
+                    "theirs": partial(solve_all, solve, ends),
                 },
                 rounds,
             )
@@ -413,15 +413,9 @@ def _ours(grid: Bytes, movement: Movement, start: Cell, goal: Cell) -> Any:
     return mapdata.astar(grid, start, goal, movement).path
 
 
-def _solve_all(solve: Callable[[Cell, Cell], Any], ends: list[tuple[Cell, Cell]]) -> None:
-    """Solve all problems."""
-    for start, goal in ends:
-        solve(start, goal)
-
-
 def _by_astar(grid: Bytes, movement: Movement, ends: list[tuple[Cell, Cell]]) -> None:
     """Solve all problems by A*, one call each."""
-    _solve_all(partial(_ours, grid, movement), ends)
+    solve_all(partial(_ours, grid, movement), ends)
 
 
 def _by_jump_points(grid: Bytes, movement: Movement, ends: list[tuple[Cell, Cell]]) -> None:

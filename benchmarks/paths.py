@@ -385,8 +385,8 @@ def order_rows(side: int, rounds: int) -> list[Row]:
         ("search_order with heuristic=", blind),
     ):
         contestants = {
-            "order": partial(for_each, partial(order, grid, movement=movement), ends),
-            "A*": partial(for_each, partial(mapdata.astar, grid, movement=movement), ends),
+            "order": partial(solve_all, partial(order, grid, movement=movement), ends),
+            "A*": partial(solve_all, partial(mapdata.astar, grid, movement=movement), ends),
         }
         times = interleaved(contestants, rounds)
         ours, others = (each(times[key], len(ends)) for key in contestants)
@@ -398,8 +398,8 @@ def order_rows(side: int, rounds: int) -> list[Row]:
     return rows
 
 
-def for_each(solve: Callable[[Cell, Cell], object], ends: list[tuple[Cell, Cell]]) -> None:
-    """Solve each problem."""
+def solve_all(solve: Callable[[Cell, Cell], object], ends: list[tuple[Cell, Cell]]) -> None:
+    """Solve all problems."""
     for start, goal in ends:
         solve(start, goal)
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise, repeat
+from itertools import pairwise
 
 import numpy as np
 
@@ -150,7 +149,7 @@ class JumpPointSearch(Batched):
                 "leave it out, as classical(movement, terrain=True) does"
             )
         paths, looks = solve_by_jump_points(grids, starts, goals, self.movement)
-        return _plans(paths, looks=looks.tolist())
+        return _plans(paths, looks=looks)
 
 
 @dataclass(frozen=True)
@@ -198,7 +197,7 @@ class LandmarkAstar(Batched):
                 "cost the same; leave it out, as classical(movement, terrain=True) does"
             )
         paths, prepared = solve_by_landmarks(grids, starts, goals, self.movement, self.landmarks)
-        return _plans(paths, prepared.tolist())
+        return _plans(paths, prepared)
 
 
 @dataclass(frozen=True)
@@ -219,7 +218,7 @@ class GoalFieldAstar(Batched):
         paths, field_sizes = solve_by_goal_fields(
             grids, starts, goals, self.movement, terrain=terrain
         )
-        return _plans(paths, field_sizes.tolist())
+        return _plans(paths, field_sizes)
 
 
 @dataclass(frozen=True)
@@ -238,7 +237,7 @@ class Limit(Batched):
         """Return a plan for each problem: grids and terrain (B, H, W), starts and goals (B, 2)."""
         paths = search_batch("astar", grids, starts, goals, self.movement, terrain=terrain)
         cells_per_path = np.diff(paths.offsets)
-        return _plans(paths._replace(iterations=cells_per_path), paths.iterations.tolist())
+        return _plans(paths._replace(iterations=cells_per_path), paths.iterations)
 
 
 @dataclass(frozen=True)
@@ -334,20 +333,22 @@ class BestFirst(Batched):
 
 
 def _plans(
-    paths: BatchResult,
-    prepared: Iterable[int] = repeat(0),
-    looks: Iterable[int | None] = repeat(None),
+    paths: BatchResult, prepared: Ints | None = None, looks: Ints | None = None
 ) -> list[Plan]:
     """Return the paths of a batch of searches, each as a plan.
 
     Args:
         paths: of B problems.
-        prepared: for each problem, how many cells were prepared.
-        looks: for each problem, how many cells were visited, if others than the expanded ones.
+        prepared: (B,), how many cells were prepared; None for no cells.
+        looks: (B,), how many cells were visited; None if only the expanded ones were.
     """
-    ends = pairwise(paths.offsets.tolist())
     expansions = paths.iterations.tolist()
+    count = len(expansions)
+    prepared_counts = [0] * count if prepared is None else prepared.tolist()
+    look_counts = [None] * count if looks is None else looks.tolist()
     return [
-        Plan(paths.cells[first:end], *counts)
-        for (first, end), *counts in zip(ends, expansions, prepared, looks, strict=False)
+        Plan(paths.cells[first:end], expanded, prepared_count, look_count)
+        for (first, end), expanded, prepared_count, look_count in zip(
+            pairwise(paths.offsets.tolist()), expansions, prepared_counts, look_counts, strict=True
+        )
     ]
