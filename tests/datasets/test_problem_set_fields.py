@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from helpers.examples import ARE_ALL
 from helpers.grids import scipy_distances
 from helpers.samples import ALL_FIELDS, assert_same
 
@@ -50,8 +51,9 @@ ROWS = {"own maps": [0, 1, 2, 3, 4, 5], "one map": [0] * COUNT, "some shared": [
 def problem_set(kind: str, *, terrain: bool, movement: Movement = MOVEMENT) -> ProblemSet:
     """Return problems on random maps, from corner to corner and between other free cells."""
     random = np.random.default_rng(5)
-    # Few costs, since pictures of tiles have textures of their own for each.
-    costs = random.choice(np.array([1, 2, 9, 254], np.uint8), (COUNT, SIDE, SIDE))
+    # Pictures of tiles have textures of their own for each cost, so the default run has few.
+    levels = np.arange(1, 255) if ARE_ALL else np.array([1, 2, 9, 254])
+    costs = random.choice(levels.astype(np.uint8), (COUNT, SIDE, SIDE))
     costs[:, 1:-1, 1:-1] *= random.random((COUNT, SIDE - 2, SIDE - 2)) < 0.7
     costs = costs[ROWS[kind]]
     starts = np.stack([np.zeros(COUNT, np.int64), np.arange(COUNT)], axis=1)
