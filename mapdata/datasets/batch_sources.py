@@ -20,7 +20,7 @@ from mapdata.movement import Movement
 from mapdata.problems.drawing import DRAWS, Drawing, Drawn, Paths, Search
 from mapdata.problems.problem_set import ProblemSet
 from mapdata.problems.sources import Route
-from mapdata.problems.substitutes import may_have_high_costs, most_maps
+from mapdata.problems.substitutes import limit_of_tries, may_have_high_costs
 from mapdata.search.map_stack import MapStack
 from mapdata.shards.workers import Advance, no_bar
 
@@ -136,7 +136,7 @@ class StoredSource:
             self._serving,
             self.movement,
             numbers,
-            places=numbers,
+            positions=numbers,
             grids=grids,
             starts=reader.seed_points(located, located.first_rooms),
             goals=reader.seed_points(located, located.second_rooms),
@@ -162,7 +162,7 @@ class DrawnSource:
         """Keep the arguments.
 
         Args:
-            maps: the maps. Problem i is first drawn on the map at the place i, or i // k if there
+            maps: the maps. Problem i is first drawn on the map at position i, or i // k if there
                 are k problems per map.
             serving: how the problems are served.
             movement: the served one.
@@ -200,18 +200,20 @@ class DrawnSource:
         depends on the problem and its maps alone, never on the batch or on other problems.
 
         Raises:
-            ValueError: a problem is on none of as many maps as `most_maps` allows.
+            ValueError: a problem is on none of as many maps as `limit_of_tries` allows.
         """
-        own_places = indices // self._drawing.source.per_map
-        on_own_maps = self._on_own_maps(own_places, indices, epoch, advance)
-        drawn, places = self._with_substitutes(on_own_maps, own_places, indices, epoch, advance)
+        own_positions = indices // self._drawing.source.per_map
+        on_own_maps = self._on_own_maps(own_positions, indices, epoch, advance)
+        drawn, positions = self._with_substitutes(
+            on_own_maps, own_positions, indices, epoch, advance
+        )
         served_search = self._serving.search
         return _batch_on(
             self._maps,
             self._serving,
             self.movement,
             indices,
-            places=places,
+            positions=positions,
             grids=drawn.maps.grids,
             starts=drawn.starts,
             goals=drawn.goals,
@@ -221,34 +223,34 @@ class DrawnSource:
         )
 
     def _with_substitutes(
-        self, drawn: Drawn, places: Ints, indices: Ints, epoch: int, advance: Advance
+        self, drawn: Drawn, positions: Ints, indices: Ints, epoch: int, advance: Advance
     ) -> tuple[Drawn, Ints]:
-        """Return the problems, and the places of their maps, with the missing ones on substitutes.
+        """Return the problems and the positions of their maps, the missing ones on substitutes.
 
         Each missing problem is drawn on its first substitute that has one.
 
         Args:
             drawn: the problems on their own maps; its arrays are changed.
-            places: (B,) places of these maps.
+            positions: (B,) positions of these maps.
             indices: (B,) numbers of the problems.
             epoch: pass over the data.
             advance: called with the number of maps on which problems were sought just now.
         """
-        places = places.copy()
-        most = most_maps(self._drawing.source, self.map_size, self._drawing.attempts)
-        search = Search(self._drawing, most, is_silent=_is_silent(advance))
-        missing = MissingProblems(~drawn.has_problem, most)
+        positions = positions.copy()
+        max_tries = limit_of_tries(self._drawing.source, self.map_size, self._drawing.attempts)
+        search = Search(self._drawing, max_tries, is_silent=_is_silent(advance))
+        missing = MissingProblems(~drawn.has_problem, max_tries)
         while len(missing.rows):
             rows = missing.next_rows(self._maps_at_once)
             row = missing.first_in_vain(rows)
             if row is not None:
-                tried = self._maps.tried_text(most)
+                tried = self._maps.tried_text(max_tries)
                 raise search.error(f"{tried} for problem {indices[row]} of epoch {epoch}")
             # One try for each problem and substitute; those of a problem stand together, in order.
-            tries_each = self._substitutes_at_once(missing, rows)
-            row_of_try = np.repeat(rows, tries_each)
+            tries_per_problem = self._substitutes_at_once(missing, rows)
+            row_of_try = np.repeat(rows, tries_per_problem)
             # The own map was the first that was tried, so substitutes are numbered from 1 on.
-            numbers = missing.tried[row_of_try] + np.tile(np.arange(tries_each), len(rows))
+            numbers = missing.tried[row_of_try] + np.tile(np.arange(tries_per_problem), len(rows))
             substitutes = self._maps.substitutes(indices[row_of_try], epoch, numbers)
             # A substitute has draws of its own, those of a problem beyond the end of the dataset.
             others = self._draw(substitutes, indices[row_of_try] + numbers * self._count, epoch)
@@ -258,25 +260,25 @@ class DrawnSource:
             found, first = np.unique(row_of_try[successes], return_index=True)
             first_successes = successes[first]
             missing_count = len(missing.rows)
-            missing.note(rows, tries_each, found)
+            missing.note(rows, tries_per_problem, found)
             _say_if_long(search, missing, missing_count)
             if len(found):
-                places[found] = substitutes[first_successes]
+                positions[found] = substitutes[first_successes]
                 drawn = drawn.overwritten(found, others, first_successes)
-        return drawn, places
+        return drawn, positions
 
-    def _draw(self, places: Ints, keys: Ints, epoch: int) -> Drawn:
-        """Draw a problem on each of the maps at these places."""
+    def _draw(self, positions: Ints, keys: Ints, epoch: int) -> Drawn:
+        """Draw a problem on each of the maps at these positions."""
         with_seed_points = self._drawing.source.needs_seed_points
-        given = self._maps.given_maps(places, with_seed_points=with_seed_points)
+        given = self._maps.given_maps(positions, with_seed_points=with_seed_points)
         return self._drawing.on(given, keys, epoch)
 
-    def _on_own_maps(self, places: Ints, indices: Ints, epoch: int, advance: Advance) -> Drawn:
+    def _on_own_maps(self, positions: Ints, indices: Ints, epoch: int, advance: Advance) -> Drawn:
         """Draw problems on their own maps, some at a time."""
         parts = []
         for first in range(0, max(len(indices), 1), self._maps_at_once):
             part = slice(first, first + self._maps_at_once)
-            parts.append(self._draw(places[part], indices[part], epoch))
+            parts.append(self._draw(positions[part], indices[part], epoch))
             advance(len(indices[part]))
         return Drawn.joined(parts)
 
@@ -303,16 +305,16 @@ class MissingProblems:
         rows: (M,) int64, the problems that were not found yet, ascending.
     """
 
-    def __init__(self, is_missing: Flags, most: int) -> None:
+    def __init__(self, is_missing: Flags, max_tries: int) -> None:
         """Begin after the own maps.
 
         Args:
             is_missing: (B,), which problems are not on their own maps.
-            most: on how many maps a problem is sought.
+            max_tries: on how many maps a problem is sought.
         """
         self.tried = np.ones(len(is_missing), np.int64)
         self.rows = np.flatnonzero(is_missing)
-        self._most = most
+        self._max_tries = max_tries
         self._failed_in_a_row = 0  # substitutes since the last success, of whichever problem
 
     def next_rows(self, max_maps: int) -> Ints:
@@ -321,7 +323,7 @@ class MissingProblems:
         After many failures in a row this is the first missing problem alone. So the error comes
         when one problem has been sought in vain, not when all of a batch have been.
         """
-        is_batch = self._failed_in_a_row < self._most // 8
+        is_batch = self._failed_in_a_row < self._max_tries // 8
         return self.rows[: max_maps if is_batch else 1]
 
     def substitutes_at_once(self, rows: Ints, max_maps: int) -> int:
@@ -332,24 +334,26 @@ class MissingProblems:
         """
         tried = self.tried[rows]
         eighth = int(tried.min()) // 8
-        remaining = self._most - int(tried.max())
+        remaining = self._max_tries - int(tried.max())
         return max(min(eighth, remaining, max_maps // len(rows)), 1)
 
     def first_in_vain(self, rows: Ints) -> int | None:
         """Return the first of the problems ``rows`` that was sought on enough maps, if any."""
-        in_vain = rows[self.tried[rows] >= self._most]
+        in_vain = rows[self.tried[rows] >= self._max_tries]
         return int(in_vain[0]) if len(in_vain) else None
 
-    def note(self, rows: Ints, tries_each: int, found: Ints) -> None:
+    def note(self, rows: Ints, tries_per_problem: int, found: Ints) -> None:
         """Note that problems ``rows`` were sought, and that those in ``found`` were found.
 
         Args:
             rows: (R,) the problems.
-            tries_each: on how many substitutes each of them was sought.
+            tries_per_problem: on how many substitutes each of them was sought.
             found: ascending.
         """
-        self._failed_in_a_row = 0 if len(found) else self._failed_in_a_row + tries_each * len(rows)
-        self.tried[rows] += tries_each
+        self._failed_in_a_row = (
+            0 if len(found) else self._failed_in_a_row + tries_per_problem * len(rows)
+        )
+        self.tried[rows] += tries_per_problem
         self.rows = np.setdiff1d(self.rows, found, assume_unique=True)
 
 
@@ -390,8 +394,8 @@ class SetSource:
             matrices = room_matrices(search, map_numbers, maps, seed_points, self.movement)
             return Rooms(matrices, seed_points)
 
-        def compute_paths(wanted_search: str) -> Paths | None:
-            if wanted_search != "astar":
+        def compute_paths(search_name: str) -> Paths | None:
+            if search_name != "astar":
                 return None  # the set has the paths of A* alone
             optimal = problem_set.optimal
             return Paths(optimal.cells, optimal.offsets, optimal.iterations).select(indices)
@@ -425,7 +429,7 @@ def _batch_on(
     movement: Movement,
     indices: Ints,
     *,
-    places: Ints,
+    positions: Ints,
     grids: Bytes,
     starts: Ints,
     goals: Ints,
@@ -440,7 +444,7 @@ def _batch_on(
         serving: how the problems are served.
         movement: the served one.
         indices: (B,) numbers of the problems.
-        places: (B,) places of their maps.
+        positions: (B,) positions of their maps.
         grids: (B, H, W), the maps as served.
         starts: (B, 2) cells.
         goals: (B, 2) cells.
@@ -451,11 +455,11 @@ def _batch_on(
     search = serving.search
 
     def compute_rooms() -> Rooms:
-        stored_rooms = maps.stored_rooms(places, search)
+        stored_rooms = maps.stored_rooms(positions, search)
         if stored_rooms is not None:
             return stored_rooms
-        seed_points = maps.seed_points(places)
-        numbers = places
+        seed_points = maps.seed_points(positions)
+        numbers = positions
         served = MapStack(grids, None)
         if search == "astar" and maps.has_terrain:
             numbers = compute_map_numbers()
@@ -469,7 +473,7 @@ def _batch_on(
         starts=starts,
         goals=goals,
         problems=indices,
-        compute_map_indices=lambda: maps.map_indices(places),
+        compute_map_indices=lambda: maps.map_indices(positions),
         compute_rooms=compute_rooms,
         compute_map_numbers=compute_map_numbers,
         compute_stored_maps=compute_stored_maps,

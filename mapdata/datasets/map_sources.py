@@ -5,11 +5,11 @@ Several numbers count problems and maps, here and in the modules around this one
 - index: of a problem as the dataset serves it, such as 5 in ``dataset[5]``;
 - key: what the draws of a problem depend on; its index, or a number beyond all of them for a
   substitute;
-- place: of a map among those of the served split, from 0 on. Where problems are stored, it is the
-  number of a problem on the map;
+- position: of a map among those of the served split, from 0 on. Where problems are stored, it is
+  the number of a problem on the map;
 - map number: of a map in its own dataset or recipe, over all splits; errors name it;
 - map index: the same, counted on over several roots; the field ``map_index``;
-- row: the position in the arrays of one batch.
+- row: which problem of one batch, in its arrays.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from mapdata.search.labels import labels_serve
 
 
 class MapSource(Protocol):
-    """The maps of a split, each of which has a place in it, counted from 0.
+    """The maps of a split, each of which has a position in it, counted from 0.
 
     Attributes:
         map_size: (rows, columns) of all maps.
@@ -52,20 +52,20 @@ class MapSource(Protocol):
     min_clearance: int
     map_hashes: Sequence[str]
 
-    def given_maps(self, places: Ints, *, with_seed_points: bool) -> GivenMaps:
-        """Return the maps at these places, (B,), before inflation, to draw problems on."""
+    def given_maps(self, positions: Ints, *, with_seed_points: bool) -> GivenMaps:
+        """Return the maps at these positions, (B,), before inflation, to draw problems on."""
 
-    def map_indices(self, places: Ints) -> Ints:
-        """Return the number in the whole dataset of the map at each place, (B,)."""
+    def map_indices(self, positions: Ints) -> Ints:
+        """Return the number in the whole dataset of the map at each position, (B,)."""
 
-    def seed_points(self, places: Ints) -> Ints:
-        """Return the seed points of the maps at these places, (B, R, 2), padded with -1."""
+    def seed_points(self, positions: Ints) -> Ints:
+        """Return the seed points of the maps at these positions, (B, R, 2), padded with -1."""
 
-    def stored_rooms(self, places: Ints, search: str) -> Rooms | None:
+    def stored_rooms(self, positions: Ints, search: str) -> Rooms | None:
         """Return the rooms as they are stored; None if they have to be solved as served."""
 
     def substitutes(self, indices: Ints, epoch: int, numbers: Ints) -> Ints:
-        """Return the places of maps that replace those without a problem, (B,).
+        """Return the positions of maps that replace those without a problem, (B,).
 
         docs/format.md, section 6, has the rule.
 
@@ -108,27 +108,29 @@ class StoredMapSource:
         self.labels_serve = labels_serve(reader.movement, movement, reader.min_clearance)
         self._sampling_seed = sampling_seed
 
-    def given_maps(self, places: Ints, *, with_seed_points: bool) -> GivenMaps:
+    def given_maps(self, positions: Ints, *, with_seed_points: bool) -> GivenMaps:
         """Return maps as `MapSource.given_maps`."""
-        stored = self.reader.locate(places)
+        stored = self.reader.locate(positions)
         numbers = self.reader.map_numbers(stored)
         maps = self.reader.stored_maps(stored, self.reader.grids(stored))
         if not with_seed_points:
             return GivenMaps(numbers, maps, None, None)
-        points = self.seed_points(places)
+        points = self.seed_points(positions)
         return GivenMaps(numbers, maps, points, np.count_nonzero(points[:, :, 0] >= 0, axis=1))
 
-    def map_indices(self, places: Ints) -> Ints:
+    def map_indices(self, positions: Ints) -> Ints:
         """Return numbers of maps, counted over all roots."""
-        return self.reader.map_indices(self.reader.locate(places))
+        return self.reader.map_indices(self.reader.locate(positions))
 
-    def seed_points(self, places: Ints) -> Ints:
+    def seed_points(self, positions: Ints) -> Ints:
         """Return seed points as `MapSource.seed_points`."""
-        return self.reader.rooms(self.reader.locate(places), "astar").seed_points
+        return self.reader.rooms(self.reader.locate(positions), "astar").seed_points
 
-    def stored_rooms(self, places: Ints, search: str) -> Rooms | None:
+    def stored_rooms(self, positions: Ints, search: str) -> Rooms | None:
         """Return the rooms as their shards hold them, if the labels are served as stored."""
-        return self.reader.rooms(self.reader.locate(places), search) if self.labels_serve else None
+        return (
+            self.reader.rooms(self.reader.locate(positions), search) if self.labels_serve else None
+        )
 
     def substitutes(self, indices: Ints, epoch: int, numbers: Ints) -> Ints:
         """Draw each map from the whole split, so that no map replaces more others than the rest."""
@@ -182,30 +184,30 @@ class GeneratedMapSource:
             self._first_maps = maps_of_split(generator, seed, split, map_count)
             self._split_maps = SplitMaps(generator, seed, split)
 
-    def given_maps(self, places: Ints, *, with_seed_points: bool) -> GivenMaps:
+    def given_maps(self, positions: Ints, *, with_seed_points: bool) -> GivenMaps:
         """Return maps as `MapSource.given_maps`, always with their seed points."""
         del with_seed_points
-        return GivenMaps.of(self._maps(places))
+        return GivenMaps.of(self._maps(positions))
 
-    def _maps(self, places: Ints) -> Maps:
-        """Make the maps at these places."""
-        return generate(self._generator, self._seed, self.map_indices(places))
+    def _maps(self, positions: Ints) -> Maps:
+        """Make the maps at these positions."""
+        return generate(self._generator, self._seed, self.map_indices(positions))
 
-    def map_indices(self, places: Ints) -> Ints:
+    def map_indices(self, positions: Ints) -> Ints:
         """Return the numbers of maps in their recipe."""
         if self._first_maps is None or self._split_maps is None:
-            return places
-        if (places < len(self._first_maps)).all():
-            return self._first_maps[places]
-        return self._split_maps.at(places)
+            return positions
+        if (positions < len(self._first_maps)).all():
+            return self._first_maps[positions]
+        return self._split_maps.at(positions)
 
-    def seed_points(self, places: Ints) -> Ints:
+    def seed_points(self, positions: Ints) -> Ints:
         """Return seed points as `MapSource.seed_points`."""
-        return self._maps(places).seed_points
+        return self._maps(positions).seed_points
 
-    def stored_rooms(self, places: Ints, search: str) -> Rooms | None:
+    def stored_rooms(self, positions: Ints, search: str) -> Rooms | None:
         """Return None: nothing is stored."""
-        del places, search
+        del positions, search
         return None
 
     def substitutes(self, indices: Ints, epoch: int, numbers: Ints) -> Ints:

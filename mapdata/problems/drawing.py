@@ -289,14 +289,14 @@ class Search:
     """A search for problems on one map after another: when to say that it is long, and its error.
 
     Attributes:
-        most: on how many maps a problem is sought before there is an error.
+        max_tries: on how many maps a problem is sought before there is an error.
         is_silent: whether nothing is said of a long search, any more or at all.
     """
 
-    def __init__(self, drawing: Drawing, most: int, *, is_silent: bool = False) -> None:
+    def __init__(self, drawing: Drawing, max_tries: int, *, is_silent: bool = False) -> None:
         """Begin a search, before the first map."""
         self._drawing = drawing
-        self.most = most
+        self.max_tries = max_tries
         self.is_silent = is_silent
 
     def say_if_long(self, failed: float, state: str) -> bool:
@@ -306,7 +306,7 @@ class Search:
             failed: number of maps without a problem.
             state: how far the search is, in words.
         """
-        if self.is_silent or failed < self.most / RARE_SHARE:
+        if self.is_silent or failed < self.max_tries / RARE_SHARE:
             return False
         self.is_silent = True
         say_rare(f"{plain_text(self._drawing.source)}: {state}")

@@ -13,7 +13,7 @@ from mapdata.limits import Size
 from mapdata.movement import Movement
 from mapdata.problems.drawing import Drawing, Drawn, GivenMaps, Search
 from mapdata.problems.sources import check_possible
-from mapdata.problems.substitutes import most_maps
+from mapdata.problems.substitutes import limit_of_tries
 from mapdata.search.api import search_batch
 from mapdata.search.lattice import HARD, hardness
 from mapdata.shards.workers import bar
@@ -81,8 +81,8 @@ def draw_problems(
     if until_hard is not None:
         check_count("until_hard", until_hard)
     check_possible(source, stream.size, drawing.movement, has_terrain=stream.has_terrain)
-    most = most_maps(source, stream.size, drawing.attempts * source.per_map)
-    search = Search(drawing, most, is_silent=progress)  # a bar says more
+    max_tries = limit_of_tries(source, stream.size, drawing.attempts * source.per_map)
+    search = Search(drawing, max_tries, is_silent=progress)  # a bar says more
     parts: list[Drawn] = []
     tried = 0  # maps
     found = 0  # problems
@@ -105,7 +105,7 @@ def draw_problems(
                 f"{found:,} found on {tried:,} of {stream.count:,} maps; progress=True shows a "
                 "bar, and wider conditions are faster",
             )
-            is_in_vain = found == 0 and tried >= most
+            is_in_vain = found == 0 and tried >= max_tries
             if hard_count == until_hard or (is_in_vain and stream.are_alike):
                 break
     if not parts:

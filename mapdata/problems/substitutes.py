@@ -35,7 +35,7 @@ search in vain may take: after some seconds.
 """
 
 
-def most_maps(problems: Source, map_size: Size, goals: int) -> int:
+def limit_of_tries(problems: Source, map_size: Size, goals: int) -> int:
     """Return how many maps are tried for a problem before there is an error.
 
     Args:
@@ -71,15 +71,15 @@ def draw_substitutes(
         numbers: (B,) which substitute of the problem it is, from 1 on.
         map_count: number of maps in the split, all of which are equally probable.
     """
-    places = np.empty(len(indices), np.int64)
+    maps = np.empty(len(indices), np.int64)
     for k in range(len(indices)):
         w0, w1, _, _ = block(seed, np.uint64(indices[k]), epoch, SUBSTITUTE, numbers[k])
         # (word * n) >> 64 for the 64-bit word with the upper half w0 and the lower half w1. It is
         # computed in two halves, because the product has more than 64 bits.
         n = np.uint64(map_count)
         half = np.uint64(32)
-        places[k] = np.int64((w0 * n + ((w1 * n) >> half)) >> half)
-    return places
+        maps[k] = np.int64((w0 * n + ((w1 * n) >> half)) >> half)
+    return maps
 
 
 def say_rare(message: str) -> None:

@@ -189,7 +189,7 @@ def test_a_problem_depends_on_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("mapdata.datasets.batch_sources.CELLS_AT_ONCE", 72 * 5)
     in_parts = online(60)[:]
     monkeypatch.setattr(
-        "mapdata.datasets.batch_sources.most_maps", lambda *_: 400
+        "mapdata.datasets.batch_sources.limit_of_tries", lambda *_: 400
     )  # one is sought alone
     alone = online(60)[:]  # one is sought alone
     for name in ("map", "map_index", "start", "goal", "length"):
@@ -217,7 +217,9 @@ def test_maps_that_are_tried_at_once_change_nothing(monkeypatch: pytest.MonkeyPa
     most = int(substitutes.max())
     assert most > 30  # some maps were tried at once
     for maps in (most + 1, most):
-        monkeypatch.setattr("mapdata.datasets.batch_sources.most_maps", lambda *_, maps=maps: maps)
+        monkeypatch.setattr(
+            "mapdata.datasets.batch_sources.limit_of_tries", lambda *_, maps=maps: maps
+        )
         if maps == most:
             with pytest.raises(ValueError, match=f"; {most} maps were tried for problem {last} "):
                 dataset()[last]
@@ -304,7 +306,7 @@ def test_terrain_has_the_same_end(problems: Random, monkeypatch: pytest.MonkeyPa
 
 def test_many_maps_of_terrain_are_tried_at_once() -> None:
     """Small ones, on which no cost is too high; one after another they would take minutes."""
-    missing = MissingProblems(np.array([True]), most=10_000)
+    missing = MissingProblems(np.array([True]), max_tries=10_000)
     missing.tried[:] = 800
     assert missing.substitutes_at_once(np.array([0]), max_maps=2**15) == 100
     assert not may_have_high_costs((5, 6))

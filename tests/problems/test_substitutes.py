@@ -11,7 +11,7 @@ from scipy import stats
 
 from mapdata import Pairs, Random, Route
 from mapdata.problems.sources import Source
-from mapdata.problems.substitutes import draw_substitutes, most_maps
+from mapdata.problems.substitutes import draw_substitutes, limit_of_tries
 
 
 @pytest.mark.parametrize(
@@ -28,7 +28,7 @@ from mapdata.problems.substitutes import draw_substitutes, most_maps
 )
 def test_so_many_maps_are_tried(problems: Source, map_size: tuple[int, int], maps: int) -> None:
     """The goals on them have 4 * 10^8 cells; but neither few nor very many maps are tried."""
-    assert most_maps(problems, map_size, 32) == maps
+    assert limit_of_tries(problems, map_size, 32) == maps
 
 
 def test_stored_substitutes_are_drawn_from_all_maps() -> None:
