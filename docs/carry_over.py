@@ -1,18 +1,18 @@
 """What carries over to maps that were not trained on: python docs/carry_over.py.
 
     python docs/carry_over.py --untrained                    what needs no training: some minutes
-    python docs/carry_over.py --weights FOLDER --minutes 30  twelve trainings, 30 minutes each
+    python docs/carry_over.py --weights FOLDER      the trainings: some hours of one core
 
-The trainings are {maps of paper, of all presets of 64 x 64 but dungeon and cave} x {map and goal as
-planes, distances to the goal as planes and a prior}. All have the same network, target
-(`optimal_moves`), hard problems, number of problems and steps, and three seeds. Each network scores
-moves for `mapdata.evaluation.GuidedSearch`. A training ends after ``--minutes``, its learning rate
-falls with the time or the steps that are used up, whichever are more, and FOLDER keeps its weights:
-run the command again to continue with the trainings that are missing. ``--cell`` and ``--seed``
-take some of them alone. ``--device cuda`` trains on a GPU.
+The trainings are {maps of paper; of paper, narrow, maze, forest and noise; of the preset mixed} x
+{map and goal as planes, distances to the goal as planes and a prior}. All have the same network,
+target (`optimal_moves`), hard problems, number of problems and steps, and three seeds. Each network
+scores moves for `mapdata.evaluation.GuidedSearch`. FOLDER keeps the weights: run the command again
+to continue with the trainings that are missing. ``--cell`` and ``--seed`` take some of them alone.
+``--device cuda`` trains on a GPU.
 
-Every row is measured on problems of dungeon and cave, random and hard, and of paper; with ``--maps
-FOLDER`` also on windows of the maps of robots and games in it, as docs/zero_shot.py cuts them.
+Every row is measured on problems of dungeon and cave, random and hard, of paper, and of the
+families "out" of the suite carry-over-1 at 64 x 64; with ``--maps FOLDER`` also on windows of the
+maps of robots and games in it, as docs/zero_shot.py cuts them.
 docs/carry_over_results.json gets the tables of `mapdata.evaluate`, whose differences are those from
 the guided search without a network on the same problems, with intervals of a paired bootstrap.
 
@@ -44,11 +44,12 @@ from zero_shot import grids_of, hard_problems
 
 from mapdata import OnlineMapDataset, Plan, ProblemSet, evaluate
 from mapdata.arrays import Bytes, Float32s, Ints
-from mapdata.evaluation import GuidedSearch, Planner, classical, prior
+from mapdata.evaluation import SUITES, GuidedSearch, Planner, classical, prior
 from mapdata.limits import Cell
-from mapdata.models import PathPredictor
+from mapdata.models import PathPredictor, fast_precision
 from mapdata.models.pretrained.geometry import legal_moves
 from mapdata.models.pretrained.layers import Trunk, padded
+from mapdata.models.pretrained.optimizer import Muon, one_cycle
 from mapdata.models.pretrained.path_predictor import encode
 from mapdata.shards import write_output
 
@@ -59,8 +60,9 @@ WEIGHTED = ("weighted A* (1.25)", "weighted A* (1.5)", "weighted A* (2)")
 FAMILIES = {
     "paper": ("paper",),
     "many": ("paper", "narrow", "maze", "forest", "noise"),
+    "mixed": ("mixed",),
 }
-"""The presets that networks are trained on: one, or all of 64 x 64 but dungeon and cave."""
+"""The presets that networks are trained on: one, all of 64 x 64 but dungeon and cave, a mixture."""
 
 PLANES = ("raw", "goal")
 """Map and goal alone; or distances to the goal, with scores that begin at the prior."""
@@ -68,8 +70,11 @@ PLANES = ("raw", "goal")
 CELLS = [f"{families}-{planes}" for families in FAMILIES for planes in PLANES]
 
 PROBLEMS = 32_768
-STEPS = 6000
+STEPS = 1000
 BATCH = 64
+
+HAS_BFLOAT16 = fast_precision() == "bf16-mixed"
+"""Whether this processor has fast bfloat16. Trainings use it, measurements use float32."""
 METRICS = ("opt", "expansion_ratio")
 """The metrics of the tables; the file has all of `mapdata.evaluate`."""
 
@@ -207,45 +212,40 @@ def training_problems(families: tuple[str, ...], count: int) -> tuple[Tensor, ..
     return tuple(torch.cat(tensors) for tensors in zip(*parts, strict=True))
 
 
-def train(
-    planes: str, problems: tuple[Tensor, ...], seed: int, steps: int, minutes: float
-) -> tuple[Network, int]:
-    """Return a trained network on the processor, and its number of steps.
+def train(planes: str, problems: tuple[Tensor, ...], seed: int, steps: int) -> Network:
+    """Return a trained network on the processor.
 
     Args:
         planes: one of `PLANES`.
         problems: what `training_problems` returns, on the device to train on.
         seed: of the weights and of the order of the problems.
-        steps: the most steps.
-        minutes: the longest time.
+        steps: number of steps.
     """
     torch.manual_seed(seed)
     maps, goals, optimal = problems
     network = Network(planes).to(maps.device)
-    optimizer = torch.optim.AdamW(network.parameters(), lr=2e-3, weight_decay=1e-4)
-    began = time.monotonic()
+    optimizer = Muon(network.parameters(), lr=0.004)
+    schedule = one_cycle(optimizer, steps)["lr_scheduler"]["scheduler"]
     order = torch.empty(0, dtype=torch.int64)
-    step = 0
-    while (used := max(step / steps, (time.monotonic() - began) / 60 / minutes)) < 1:
-        rate = 2e-3 * min(1, (step + 1) / 100) * (0.5 + 0.5 * math.cos(math.pi * used))
-        for group in optimizer.param_groups:
-            group["lr"] = rate
+    for step in range(steps):
         if len(order) < BATCH:
             order = torch.randperm(len(maps))
         rows, order = order[:BATCH].to(maps.device), order[BATCH:]
-        loss = loss_of(network(maps[rows], goals[rows]), maps[rows], optimal[rows])
+        with torch.autocast(maps.device.type, torch.bfloat16, enabled=HAS_BFLOAT16):
+            scores = network(maps[rows], goals[rows])
+        loss = loss_of(scores.float(), maps[rows], optimal[rows])
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
         optimizer.step()
-        step += 1
-        if step % 100 == 0:
-            print(f"  step {step}, loss {float(loss):.3f}, {used:.0%} used", flush=True)
-    return network.cpu().eval(), step
+        schedule.step()
+        if (step + 1) % 100 == 0:
+            print(f"  step {step + 1}, loss {loss.item():.3f}", flush=True)
+    return network.cpu().eval()
 
 
-def trained(options: argparse.Namespace) -> dict[str, tuple[Network, int]]:
-    """Return the networks and their steps by the names of their files, trained where missing."""
+def trained(options: argparse.Namespace) -> dict[str, Network]:
+    """Return the networks by the names of their files, trained where they are missing."""
     options.weights.mkdir(parents=True, exist_ok=True)
     for cell in options.cell:
         families, _, planes = cell.partition("-")
@@ -260,15 +260,15 @@ def trained(options: argparse.Namespace) -> dict[str, tuple[Network, int]]:
         )
         for seed in missing:
             print(f"{cell}, seed {seed}", flush=True)
-            network, steps = train(planes, problems, seed, options.steps, options.minutes)
-            kept = {"steps": steps, "weights": network.state_dict()}
-            torch.save(kept, options.weights / f"{cell}-{seed}.pt")
+            began = time.process_time()
+            network = train(planes, problems, seed, options.steps)
+            print(f"  {(time.process_time() - began) / 60:.1f} minutes of a core", flush=True)
+            torch.save(network.state_dict(), options.weights / f"{cell}-{seed}.pt")
     networks = {}
     for file in sorted(options.weights.glob("*-*-*.pt")):
-        kept = torch.load(file, weights_only=True)
         network = Network(file.stem.split("-")[1]).eval()
-        network.load_state_dict(kept["weights"])
-        networks[file.stem] = network, kept["steps"]
+        network.load_state_dict(torch.load(file, weights_only=True))
+        networks[file.stem] = network
     return networks
 
 
@@ -276,8 +276,11 @@ def trained(options: argparse.Namespace) -> dict[str, tuple[Network, int]]:
 
 
 def test_sets(maps: Path | None) -> dict[str, ProblemSet]:
-    """Return the sets of docs/problem_trainings.py, and those of the maps of a folder."""
+    """Return the sets of docs/problem_trainings.py and of the suite, and those of a folder."""
     sets = {name: searches.problems_of(name) for name in searches.TEST_SETS}
+    for part in SUITES["carry-over-1"]:
+        if part.group == "out" and part.generator.map_size == (64, 64):
+            sets[part.name] = part.problem_set()
     for name, grid in {} if maps is None else grids_of(maps).items():
         windows = hard_problems(name, grid, MOVEMENT, 64, WINDOWS)
         if windows is not None:
@@ -348,8 +351,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--cell", choices=CELLS, action="append", help="of the trainings")
     parser.add_argument("--seed", type=int, action="append", help="of the trainings")
     parser.add_argument("--device", default="cpu", help="where to train: cpu, cuda")
-    parser.add_argument("--minutes", type=float, default=30.0, help="of a training, at most")
-    parser.add_argument("--steps", type=int, default=STEPS, help="of a training, at most")
+    parser.add_argument("--steps", type=int, default=STEPS, help="of a training")
     parser.add_argument("--problems", type=int, default=PROBLEMS, help="of a training")
     parser.add_argument("--maps", type=Path, metavar="FOLDER", help="of .map and .yaml files")
     parser.add_argument("--pages", action="store_true", help="measure nothing")
@@ -369,11 +371,10 @@ def main(arguments: list[str] | None = None) -> None:
         networks = trained(options)
         rows: list[Planner] = [one for one in classical(MOVEMENT) if one.name == NO_NETWORK]
         rows += [
-            GuidedSearch(name, MOVEMENT, network.predict) for name, (network, _) in networks.items()
+            GuidedSearch(name, MOVEMENT, network.predict) for name, network in networks.items()
         ]
-        steps = {name: count for name, (_, count) in networks.items()}
         sets = measured(rows, test_sets(options.maps))
-        results["trained"] = {"run": run, "steps": steps, "sets": sets}
+        results["trained"] = {"run": run, "steps": options.steps, "sets": sets}
         for metric in METRICS:
             print(f"\n{metric}\n\n{table_of(sets, metric)}")
     elif not options.pages:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from mapdata.generators import Maps as Maps
     from mapdata.generators import MapSpec as MapSpec
     from mapdata.generators import Maze as Maze
+    from mapdata.generators import Mixture as Mixture
     from mapdata.generators import RandomWalls as RandomWalls
     from mapdata.generators import Recipe as Recipe
     from mapdata.generators import Terrain as Terrain
@@ -84,6 +85,7 @@ _FACES = {
         "MapSpec",
         "Maps",
         "Maze",
+        "Mixture",
         "RandomWalls",
         "Recipe",
         "Terrain",

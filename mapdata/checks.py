@@ -238,6 +238,16 @@ def check_shares(name: str, values: object, count: int) -> tuple[float, ...]:
     return shares
 
 
+def check_shares_if_any(name: str, values: object, count: int) -> tuple[float, ...]:
+    """Return ``values`` as `check_shares` does; an empty list or tuple, for equal shares, stays.
+
+    Raises:
+        ValueError: as `check_shares`.
+    """
+    is_empty = isinstance(values, (list, tuple)) and len(values) == 0
+    return () if is_empty else check_shares(name, values, count)
+
+
 def check_range(name: str, limits: Range, minimum: int, maximum: int, reason: str = "") -> None:
     """Refuse a range (low, high) that is reversed, or not inside ``minimum`` to ``maximum``.
 

@@ -13,7 +13,19 @@ import numpy as np
 
 from mapdata.jit import Int, kernel
 
-MAP, PROBLEM, SPLIT, AUGMENTATION, ORDER, POINTS, TERRAIN, IMAGE, SUBSTITUTE, JITTER = range(10)
+(
+    MAP,
+    PROBLEM,
+    SPLIT,
+    AUGMENTATION,
+    ORDER,
+    POINTS,
+    TERRAIN,
+    IMAGE,
+    SUBSTITUTE,
+    JITTER,
+    MIXTURE,
+) = range(11)
 """The streams: the purposes of draws. Equal indices of two streams give unrelated numbers."""
 
 # The multipliers of a counter, and the constants that the key grows by in each round, are M and W

@@ -3,12 +3,13 @@
 from typing import TYPE_CHECKING
 
 from mapdata.aliases import former_names
-from mapdata.generators import caves, forests, mazes, random_walls, rooms, terrain
+from mapdata.generators import caves, forests, mazes, mixtures, random_walls, rooms, terrain
 from mapdata.generators.caves import Cave
 from mapdata.generators.forests import Forest
 from mapdata.generators.generator import PRESETS, MapGenerator, identity, register
 from mapdata.generators.maps import Maps
 from mapdata.generators.mazes import Maze
+from mapdata.generators.mixtures import Mixture
 from mapdata.generators.points import with_seed_points
 from mapdata.generators.random_walls import RandomWalls
 from mapdata.generators.recipe import Recipe, RecipeLike, as_recipe, generate
@@ -22,6 +23,7 @@ register(Cave, caves.PRESETS)
 register(Forest, forests.PRESETS)
 register(RandomWalls, random_walls.PRESETS)
 register(Terrain, terrain.PRESETS)
+register(Mixture, mixtures.PRESETS)
 
 __all__ = [
     "PRESETS",
@@ -31,6 +33,7 @@ __all__ = [
     "MapSpec",
     "Maps",
     "Maze",
+    "Mixture",
     "RandomWalls",
     "Recipe",
     "RecipeLike",

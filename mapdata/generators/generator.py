@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from functools import lru_cache
 from inspect import isabstract
 from types import MappingProxyType, UnionType
@@ -51,7 +51,8 @@ class MapGenerator(ABC):
         name: name of the family in JSON.
         description: what the maps are, as the dataset card says it: "... made by mapdata".
         citation: the sentence that introduces the paper on the dataset card.
-        generator_parameters: names of the parameters that are generators themselves, or None.
+        generator_parameters: names of the parameters that are generators themselves, tuples of
+            them, or None.
         map_size: (rows, columns) of a map, in cells, at most ``MAX_SIDE`` each.
         resolution: metres per cell.
         movement: the rule of moves.
@@ -84,6 +85,21 @@ class MapGenerator(ABC):
         for name in names:
             object.__setattr__(self, name, check(name, getattr(self, name)))
 
+    def _take_shared_parameters(self, name: str, inner: MapGenerator) -> None:
+        """Take the parameters that every family has from the generator of the parameter ``name``.
+
+        Raises:
+            ValueError: one of them has a value of its own here.
+        """
+        for shared in SHARED_PARAMETERS:
+            value = getattr(self, shared)
+            if value not in (default_of(type(self), shared), getattr(inner, shared)):
+                raise ValueError(
+                    f"{shared}: got {value!r}, but `{name}` decides on it and has "
+                    f"{getattr(inner, shared)!r}; leave it out"
+                )
+            object.__setattr__(self, shared, getattr(inner, shared))
+
     @property
     @abstractmethod
     def max_seed_points(self) -> int:
@@ -103,9 +119,12 @@ class MapGenerator(ABC):
 
     @property
     def inner_generators(self) -> list[MapGenerator]:
-        """The generators that are parameters of this one; most generators have none."""
-        parameters = [getattr(self, name) for name in self.generator_parameters]
-        return [parameter for parameter in parameters if parameter is not None]
+        """The generators that are parameters of this one, and theirs; most generators have none."""
+        found: list[MapGenerator] = []
+        for name in self.generator_parameters:
+            for generator in _generators_of(getattr(self, name)):
+                found += [generator, *generator.inner_generators]
+        return found
 
     @property
     def format_version(self) -> int:
@@ -118,8 +137,11 @@ class MapGenerator(ABC):
         """Return the parameters as plain values for JSON, with the name of the family."""
         values = asdict(self)
         for name in self.generator_parameters:
-            generator = getattr(self, name)
-            values[name] = None if generator is None else generator.to_dict()
+            parameter = getattr(self, name)
+            if isinstance(parameter, MapGenerator):
+                values[name] = parameter.to_dict()
+            elif parameter is not None:
+                values[name] = [generator.to_dict() for generator in parameter]
         # The parameters that all families share come after those of the family, except the size.
         last = ("resolution", "movement", "splits")
         names = [*(name for name in values if name not in last), *last]
@@ -174,8 +196,7 @@ class MapGenerator(ABC):
         parameters.pop("generator", None)
         if "movement" in parameters:
             parameters["movement"] = movement_of(parameters["movement"])
-        for key, inner in inner_values(family, parameters).items():
-            parameters[key] = MapGenerator.from_dict(inner)
+        parameters = with_generators(family, parameters, MapGenerator.from_dict)
         for key in _tuple_parameters(family):
             if key in parameters:
                 parameters[key] = _as_tuples(parameters[key])
@@ -189,6 +210,14 @@ class MapGenerator(ABC):
             ValueError: not JSON, or values that `from_dict` refuses.
         """
         return cls.from_dict(parsed_json("spec", text))
+
+
+def default_of(family: type[MapGenerator], name: str) -> object:
+    """Return the default of a parameter of a family."""
+    parameter = family.__dataclass_fields__[name]
+    if parameter.default_factory is not MISSING:
+        return parameter.default_factory()
+    return parameter.default
 
 
 def _tuple_parameters(family: type[MapGenerator]) -> list[str]:
@@ -219,22 +248,57 @@ def _as_tuples(values: object) -> Any:
     return values
 
 
-def inner_values(family: type[MapGenerator], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the plain values of those parameters that stand for generators, by name.
+def with_generators(
+    family: type[MapGenerator],
+    values: Mapping[str, Any],
+    generator_of: Callable[[Any], MapGenerator],
+) -> dict[str, Any]:
+    """Return plain values of a family in which generators stand for the values that state them.
+
+    Args:
+        family: the family.
+        values: its parameters by name; those that are generators already stay.
+        generator_of: returns the generator of plain values or of a preset's name.
 
     Raises:
         ValueError: a generator of the same family stands in one of them. Such values could be
             nested too deep for Python.
     """
-    found = {}
+    converted = dict(values)
     for key in family.generator_parameters:
-        inner = values.get(key)
-        if inner is None or isinstance(inner, MapGenerator):
-            continue
-        if isinstance(inner, Mapping) and inner.get("generator") == family.name:
+        stated = values.get(key)
+        if family.name in _families_in(stated):
             raise ValueError(f"{key}: got the family {family.name!r} in itself, expected another")
-        found[key] = inner
-    return found
+        if isinstance(stated, (list, tuple)):
+            converted[key] = tuple(
+                each if isinstance(each, MapGenerator) else generator_of(each) for each in stated
+            )
+        elif stated is not None and not isinstance(stated, MapGenerator):
+            converted[key] = generator_of(stated)
+    return converted
+
+
+def _families_in(values: object) -> set[str]:
+    """Return the names of the families in nested plain values, however deep they lie."""
+    families = set()
+    waiting = [values]
+    while waiting:
+        value = waiting.pop()
+        if isinstance(value, Mapping):
+            name = value.get("generator", ROOMS)
+            if isinstance(name, str):
+                families.add(name)
+            waiting += value.values()
+        elif isinstance(value, (list, tuple)):
+            waiting += value
+    return families
+
+
+def _generators_of(parameter: MapGenerator | Sequence[MapGenerator] | None) -> list[MapGenerator]:
+    """Return the generators that one of `MapGenerator.generator_parameters` holds."""
+    if parameter is None:
+        return []
+    return [parameter] if isinstance(parameter, MapGenerator) else list(parameter)
 
 
 def movement_of(values: object) -> Movement:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 from mapdata.arrays import Ints
@@ -18,11 +18,11 @@ from mapdata.generators.generator import (
     SHARED_PARAMETERS,
     MapGenerator,
     family_named,
-    inner_values,
     is_of_mapdata,
     movement_of,
     registrations,
     why_unknown,
+    with_generators,
 )
 from mapdata.generators.maps import Maps
 from mapdata.hashing import canonical_json, parsed_json
@@ -171,12 +171,9 @@ def _stored_generator(values: Any, has_terrain: bool) -> MapGenerator:
 def _generator_of(family: type[MapGenerator], values: Mapping[str, Any]) -> MapGenerator:
     """Return the generator of a registered family that stored plain values state."""
     # The families of inner generators may be unknown. Terrain lies over maps that have none of
-    # their own.
-    inner_generators = {
-        key: _stored_generator(inner, has_terrain=False)
-        for key, inner in inner_values(family, values).items()
-    }
-    return MapGenerator.from_dict({**values, **inner_generators})
+    # their own, and mixtures have none.
+    stored_generator_of = partial(_stored_generator, has_terrain=False)
+    return MapGenerator.from_dict(with_generators(family, values, stored_generator_of))
 
 
 def _has_stored_form(generator: MapGenerator, values: Mapping[str, Any], has_terrain: bool) -> bool:

@@ -7,7 +7,7 @@ are integers, so that all machines draw the same maps. docs/format.md states eac
 
 from __future__ import annotations
 
-from dataclasses import MISSING, Field, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import accumulate
 from typing import Any, ClassVar
@@ -15,8 +15,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from mapdata.arrays import Bytes, Int32s, Ints, UInt32s, Words
-from mapdata.checks import check_count, check_flag, check_probability, check_shares, items_of
-from mapdata.generators.generator import SHARED_PARAMETERS, MapGenerator
+from mapdata.checks import check_count, check_flag, check_probability, check_shares_if_any, items_of
+from mapdata.generators.generator import MapGenerator, default_of
 from mapdata.generators.maps import Maps
 from mapdata.generators.points import check_seed_points, with_corner_points, with_seed_points
 from mapdata.jit import Int, kernel
@@ -66,25 +66,12 @@ def _check_costs(name: str, values: object) -> tuple[int, ...]:
     return costs
 
 
-def _check_level_shares(name: str, values: object, level_count: int) -> tuple[float, ...]:
-    """Return ``values`` as the shares of the levels; an empty sequence stays empty."""
-    is_empty = isinstance(values, (list, tuple)) and len(values) == 0
-    return () if is_empty else check_shares(name, values, level_count)
-
-
 def _check_scale(name: str, value: object) -> int:
     """Return ``value`` as a number of cells, 1 to `MAX_SIDE`."""
     scale = check_count(name, value)
     if scale > MAX_SIDE:
         raise ValueError(f"{name}: got {scale}, expected at most {MAX_SIDE} cells")
     return scale
-
-
-def _default(parameter: Field[Any]) -> object:
-    """Return the default of a parameter of a generator."""
-    if parameter.default_factory is not MISSING:
-        return parameter.default_factory()
-    return parameter.default
 
 
 @dataclass(frozen=True)
@@ -125,7 +112,7 @@ class Terrain(MapGenerator):
         """Check the values."""
         super().__post_init__()
         self._convert(_check_costs, "costs")
-        self._convert(partial(_check_level_shares, level_count=len(self.costs)), "shares")
+        self._convert(partial(check_shares_if_any, count=len(self.costs)), "shares")
         self._convert(_check_scale, "scale")
         self._convert(check_probability, "obstacles")
         self._convert(check_seed_points, "seed_points")
@@ -144,16 +131,9 @@ class Terrain(MapGenerator):
             raise ValueError(f"over: got {over!r}, expected a MapGenerator, such as Cave()")
         if over.has_terrain:
             raise ValueError(f"over: got {over!r}, expected a generator without terrain of its own")
-        defaults = {parameter.name: _default(parameter) for parameter in fields(self)}
-        for name in SHARED_PARAMETERS:
-            if getattr(self, name) not in (defaults[name], getattr(over, name)):
-                raise ValueError(
-                    f"{name}: got {getattr(self, name)!r}, but `over` decides on it and has "
-                    f"{getattr(over, name)!r}; leave it out"
-                )
-            object.__setattr__(self, name, getattr(over, name))
+        self._take_shared_parameters("over", over)
         for name in _DECIDED_BY_OVER:
-            if getattr(self, name) != defaults[name]:
+            if getattr(self, name) != default_of(type(self), name):
                 raise ValueError(
                     f"{name}: got {getattr(self, name)!r}, but the maps of `over` keep their own "
                     "obstacles and seed points; leave it out"

@@ -28,6 +28,7 @@ from mapdata import (
     Maps,
     MapSpec,
     Maze,
+    Mixture,
     Movement,
     OnlineMapDataset,
     ProblemSet,
@@ -526,7 +527,7 @@ def test_presets_of_one_family_and_of_all() -> None:
             {"generator": "mazes"},
             r"^generator: the family 'mazes' is not known here; import its module \(--import "
             r"MODULE in a command, import MODULE in Python\); known are rooms, maze, cave, forest, "
-            r"random_walls, terrain; did you mean maze\?$",
+            r"random_walls, terrain, mixture; did you mean maze\?$",
         ),
         (
             {"family": "pillars", "pillars": 40},
@@ -583,6 +584,10 @@ GOLDEN: dict[MapGenerator, tuple[str, str]] = {
         "3b154d25635e4d4666b8081c1313c59ab645dd65aea079ade48fae4eadd24a00",
     ),
 }
+GOLDEN[Mixture(parts=tuple(GOLDEN), shares=(0.5, 0.3, 0.2))] = (
+    "e7abd6fbb429545897ab92d550132c443604a0ee267be31e4985542c23101b92",
+    "72e46b682d6fbe56a158fe5a6a95b4e57a11bef718439a52b0de40b36c9b07dd",
+)
 """Identity and content hash of maps 0 .. 29 with seed 7."""
 
 
