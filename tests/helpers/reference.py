@@ -264,10 +264,15 @@ def reference_bfs(
     start: Cell,
     goal: Cell,
     movement: Movement,
+    terrain: Grid | None = None,
     *,
     expanded: list[Cell] | None = None,
 ) -> ReferenceResult:
-    """First in, first out; the cost counts moves. Cells are appended to ``expanded``."""
+    """First in, first out; the cost counts moves, whatever the terrain.
+
+    Cells are appended to ``expanded``.
+    """
+    del terrain
     expanded = [] if expanded is None else expanded
     frontier = deque([start])
     parents = {start: start}
@@ -489,21 +494,32 @@ def path_cost(path: Sequence[Cell], movement: Movement, terrain: Grid | None = N
 
 # --- labels -------------------------------------------------------------------------------------
 
-Search: TypeAlias = Callable[[Grid, Cell, Cell, "Movement"], ReferenceResult]
+Search: TypeAlias = Callable[..., ReferenceResult]
+
+SEARCHES: dict[str, Search] = {"bfs": reference_bfs, "astar": reference_astar}
+"""Each takes a grid, start, goal, movement and perhaps terrain."""
 
 
 def reference_route(
-    search: Search, grid: Grid, seed_points: Sequence[Cell], movement: Movement
+    search: Search,
+    grid: Grid,
+    seed_points: Sequence[Cell],
+    movement: Movement,
+    terrain: Grid | None = None,
 ) -> list[ReferenceResult]:
     """Search the segments 1 -> 2, ..., n-1 -> n of the route through all seeds."""
-    return [search(grid, start, goal, movement) for start, goal in pairwise(seed_points)]
+    return [search(grid, start, goal, movement, terrain) for start, goal in pairwise(seed_points)]
 
 
 def reference_matrix(
-    search: Search, grid: Grid, seed_points: Sequence[Cell], movement: Movement
+    search: Search,
+    grid: Grid,
+    seed_points: Sequence[Cell],
+    movement: Movement,
+    terrain: Grid | None = None,
 ) -> npt.NDArray[np.float64]:
     """Search every entry of the n x n connection matrix: the path cost, -1 when there is none."""
     rows = []
     for start in seed_points:
-        rows.append([search(grid, start, goal, movement).cost for goal in seed_points])
+        rows.append([search(grid, start, goal, movement, terrain).cost for goal in seed_points])
     return np.array(rows)

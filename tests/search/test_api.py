@@ -1,5 +1,5 @@
-"""BFS, A*, distance fields and the path check: equal to the reference and to scipy, and bad input
-named.
+"""BFS, A*, distance fields and the path check: equal to the reference and to scipy, on maps with
+terrain and without it, and bad input named.
 """
 
 from __future__ import annotations
@@ -68,17 +68,34 @@ SHAPES = [
 """Single cells, rows and columns, and rows about the ends of words of 64 bits."""
 
 
-class Problem(NamedTuple):
-    """A grid with two free cells."""
+COSTS = [(1,), (255,), (1, 2), (8, 12, 53, 77, 92), tuple(range(1, 11)), tuple(range(1, 256))]
+"""Costs of the cells of terrain: with many ties, with few, and with the largest and the smallest.
+"""
 
-    grid: npt.NDArray[np.uint8]
+
+class Problem(NamedTuple):
+    """A map with two free cells. It has terrain if its cells have costs."""
+
+    grid: Bytes
     start: Cell
     goal: Cell
+    terrain: Bytes | None
+
+    def for_reference(self) -> tuple[list[list[int]], list[list[int]] | None]:
+        """Return grid and terrain as the reference takes them."""
+        return self.grid.tolist(), None if self.terrain is None else self.terrain.tolist()
+
+
+def terrain_on(grid: Bytes, costs: Sequence[int] | None, source: np.random.Generator) -> Any:
+    """Return terrain with the obstacles of a grid; None for no costs."""
+    return None if costs is None else np.where(grid, 0, source.choice(costs, grid.shape))
 
 
 @st.composite
 def problems(draw: st.DrawFn) -> Problem:
-    """Draw a grid of any kind: all free, scattered, a serpentine, all occupied except the ends."""
+    """Draw a grid of any kind: all free, scattered, a serpentine, all occupied except the ends; and
+    its terrain or none.
+    """
     height, width = draw(
         st.sampled_from(SHAPES) | st.tuples(st.integers(1, 12), st.integers(1, 12))
     )
@@ -97,7 +114,8 @@ def problems(draw: st.DrawFn) -> Problem:
     start, goal = draw(st.sampled_from([anywhere, down, up]))
     grid[start] = 0
     grid[goal] = 0
-    return Problem(grid, start, goal)
+    costs = draw(st.none() | st.sampled_from(COSTS))
+    return Problem(grid, start, goal, terrain_on(grid, costs, source))
 
 
 def assert_same(solution: SearchResult, expected: reference.ReferenceResult) -> None:
@@ -121,11 +139,11 @@ def assert_same(solution: SearchResult, expected: reference.ReferenceResult) -> 
 def test_search_equals_the_reference(
     search: Planner, truth: Truth, movement: Movement, problem: Problem
 ) -> None:
-    """Path, cost and iterations are the reference's, cell by cell, on any grid."""
-    grid, start, goal = problem
-    solution = search(grid, start, goal, movement)
-    expected = truth(grid.tolist(), start, goal, movement)
-    assert_same(solution, expected)
+    """Path, cost and iterations are the reference's, cell by cell, on any map."""
+    _, start, goal, terrain = problem
+    grid, costs = problem.for_reference()
+    solution = search(problem.grid, start, goal, movement, terrain=terrain)
+    assert_same(solution, truth(grid, start, goal, movement, costs))
 
 
 @planners
@@ -153,8 +171,9 @@ def test_distance_field_equals_the_reference(movement: Movement, problem: Proble
     """Every cell holds its exact cost, rounded to float32 once; -1 where the goal cannot be
     reached.
     """
-    field = distance_field(problem.grid, problem.goal, movement)
-    expected = reference.reference_field(problem.grid.tolist(), problem.goal, movement)
+    grid, costs = problem.for_reference()
+    field = distance_field(problem.grid, problem.goal, movement, terrain=problem.terrain)
+    expected = reference.reference_field(grid, problem.goal, movement, costs)
     assert field.dtype == np.float32
     np.testing.assert_array_equal(field, expected)
 
@@ -164,11 +183,13 @@ def test_distance_field_equals_the_reference(movement: Movement, problem: Proble
 @given(problem=problems())
 def test_costs_equal_scipys_dijkstra(movement: Movement, problem: Problem) -> None:
     """A*'s cost, the distance field, and (on hops) the BFS cost are the shortest there are."""
-    grid, start, goal = problem
-    distances = scipy_distances(grid, [goal], movement)[0]
-    assert astar(grid, start, goal, movement).cost == pytest.approx(distances[start], rel=1e-12)
-    np.testing.assert_allclose(distance_field(grid, goal, movement), distances, rtol=1e-6)
-    if movement.connectivity == 4 or movement.diagonal_cost == 1:
+    grid, start, goal, terrain = problem
+    distances = scipy_distances(grid, [goal], movement, terrain)[0]
+    cost = astar(grid, start, goal, movement, terrain=terrain).cost
+    assert cost == pytest.approx(distances[start], rel=1e-12)
+    field = distance_field(grid, goal, movement, terrain=terrain)
+    np.testing.assert_allclose(field, distances, rtol=1e-6)
+    if terrain is None and (movement.connectivity == 4 or movement.diagonal_cost == 1):
         assert bfs(grid, start, goal, movement).cost == distances[start]
 
 
@@ -378,16 +399,18 @@ def test_check_path_accepts_found_paths(movement: Movement, problem: Problem) ->
     """What BFS and A* find is a path, and its cost is theirs (BFS's own count where all moves cost
     1).
     """
-    grid, start, goal = problem
+    grid, start, goal, terrain = problem
+    _, costs = problem.for_reference()
+    counts_moves = movement.connectivity == 4 or movement.diagonal_cost == 1
     for search in (bfs, astar):
-        solution = search(grid, start, goal, movement)
+        solution = search(grid, start, goal, movement, terrain=terrain)
         if not len(solution.path):
             continue
         cells = [(int(row), int(column)) for row, column in solution.path]
-        cost = check_path(grid, solution.path, movement)
-        assert cost == reference.path_cost(cells, movement)
+        cost = check_path(grid, solution.path, movement, terrain=terrain)
+        assert cost == reference.path_cost(cells, movement, costs)
         assert type(cost) is float
-        if search is astar or movement.connectivity == 4 or movement.diagonal_cost == 1:
+        if search is astar or (terrain is None and counts_moves):
             assert cost == solution.cost
 
 
@@ -400,7 +423,8 @@ def test_check_path_agrees_with_the_reference(
     """A path with one or two cells moved by a little is refused, naming its first bad step, exactly
     when it is bad.
     """
-    grid, start, goal = problem
+    grid, start, goal, terrain = problem
+    _, costs = problem.for_reference()
     walk = bfs(grid, start, goal, CUTTING).path.tolist() or [start]
     cells = [(row, column) for row, column in walk]
     for _ in range(source.randrange(3)):
@@ -409,10 +433,11 @@ def test_check_path_agrees_with_the_reference(
         cells[position] = (row + source.randint(-1, 1), column + source.randint(-1, 1))
     bad = reference.first_bad_step(grid.tolist(), cells, movement)
     if bad is None:
-        assert check_path(grid, np.array(cells), movement) == reference.path_cost(cells, movement)
+        cost = check_path(grid, np.array(cells), movement, terrain=terrain)
+        assert cost == reference.path_cost(cells, movement, costs)
         return
     with pytest.raises(ValueError, match=named(cells[bad])):
-        check_path(grid, np.array(cells), movement)
+        check_path(grid, np.array(cells), movement, terrain=terrain)
 
 
 def named(cell: Sequence[float]) -> str:
@@ -618,29 +643,46 @@ def test_a_bad_grid_is_refused(door: str, grid: object, value: str) -> None:
 
 @movements
 @pytest.mark.parametrize("shared", [False, True], ids=["own grids", "one grid"])
-@pytest.mark.parametrize("search", ["bfs", "astar"])
-def test_a_batch_is_its_problems(search: str, shared: bool, movement: Movement) -> None:
+@pytest.mark.parametrize(
+    ("search", "costs"), [("bfs", None), ("astar", None), ("astar", (1, 2, 9)), ("bfs", (1, 99))]
+)
+def test_a_batch_is_its_problems(
+    search: str, costs: tuple[int, ...] | None, shared: bool, movement: Movement
+) -> None:
     """Each as the reference solves it, whatever the others of the batch left behind."""
-    truth = {"bfs": reference.reference_bfs, "astar": reference.reference_astar}[search]
     count = 12
     source = np.random.default_rng(5)
     maps = (source.random((1 if shared else count, 9, 11)) < 0.35).astype(np.uint8)
     maps[:, 0, 1] = 1  # (0, 0) becomes a corner that nothing leads out of
     maps[:, 1, :2] = 1
     maps[:, 0, 0] = 0
+    terrains = terrain_on(maps, costs, source)
     grids = [maps[0 if shared else k] for k in range(count)]
     not_in_the_corner = [np.argwhere(grid == 0)[1:] for grid in grids]
     starts = np.array([source.choice(cells) for cells in not_in_the_corner])
     goals = np.array([source.choice(cells) for cells in not_in_the_corner])
     starts[3] = (0, 0)
-    batch = search_batch(search, maps[0] if shared else maps, starts, goals, movement)
+    batch = search_batch(
+        search,
+        maps[0] if shared else maps,
+        starts,
+        goals,
+        movement,
+        terrain=terrains[0] if shared and costs else terrains,
+    )
     assert len(batch.offsets) == count + 1
     assert batch.offsets[0] == 0
     assert batch.offsets[-1] == len(batch.cells)
     for k in range(count):
         start = tuple(starts[k].tolist())
         goal = tuple(goals[k].tolist())
-        expected = truth(grids[k].tolist(), start, goal, movement)
+        expected = reference.SEARCHES[search](
+            grids[k].tolist(),
+            start,
+            goal,
+            movement,
+            terrains[0 if shared else k].tolist() if costs else None,
+        )
         path = batch.path(k)
         assert [tuple(cell) for cell in path.tolist()] == expected.path
         assert batch.cost[k] == expected.cost
@@ -791,16 +833,25 @@ def test_terrain_of_other_costs_names_the_function_that_makes_it(
         search(costs)
 
 
+ROUGH = 3 * (1 - WALLED)
+"""Terrain with the obstacles of `WALLED`."""
+
+on_any_map = pytest.mark.parametrize("terrain", [None, ROUGH], ids=["uniform", "terrain"])
+
+
+@on_any_map
 @pytest.mark.parametrize("cell", [(-1, 0), (0, -1), (4, 0), (0, 5), (1, 1)], ids=str)
-def test_a_bad_problem_of_a_batch_is_named(cell: Cell) -> None:
+def test_a_bad_problem_of_a_batch_is_named(cell: Cell, terrain: Bytes | None) -> None:
     """By its number and its end; so is a batch that has not as many grids, starts and goals."""
     good = np.zeros((3, 2), np.int64)
     bad = good.copy()
     bad[1] = cell
-    for grid in (WALLED, np.stack([WALLED] * 3)):
+    for copies in (1, [1, 1, 1]):
+        grid = np.multiply.outer(copies, WALLED)
+        own_terrain = None if terrain is None else np.multiply.outer(copies, terrain)
         for ends, name in (((bad, good), "start"), ((good, bad), "goal")):
             with pytest.raises(ValueError, match=f"problem 1: {name}: "):
-                search_batch("astar", grid, *ends)
+                search_batch("astar", grid, *ends, terrain=own_terrain)
     for grids, count in (([WALLED] * 2, 3), ([WALLED] * 3, 2)):
         with pytest.raises(ValueError, match=f"got {len(grids)} grids, 3 starts and {count} goals"):
             search_batch("astar", grids, good, good[:count])
@@ -821,27 +872,31 @@ BAD_CELLS: list[tuple[float, ...]] = [
 ]
 
 
+@on_any_map
 @pytest.mark.parametrize("cell", BAD_CELLS, ids=str)
 @pytest.mark.parametrize("search", [bfs, astar])
 @pytest.mark.parametrize("name", ["start", "goal"])
-def test_a_bad_start_or_goal_is_named(name: str, search: Planner, cell: tuple[float, ...]) -> None:
+def test_a_bad_start_or_goal_is_named(
+    name: str, search: Planner, cell: tuple[float, ...], terrain: Bytes | None
+) -> None:
     """Outside, negative, occupied, broken, of another length: the message names which of the two,
     and its value.
     """
     ends = (cell, (0, 0)) if name == "start" else ((0, 0), cell)
     with pytest.raises(ValueError, match=rf"\b{name}\b") as error:
-        search(WALLED, *ends)
+        search(WALLED, *ends, terrain=terrain)
     message = str(error.value)
     assert re.search(named(cell) if cell else r"\(\)|\[\]", message), message
     assert {"start", "goal"} & set(re.findall(r"\w+", message)) == {name}
     assert "\n" not in message
 
 
+@on_any_map
 @pytest.mark.parametrize("cell", BAD_CELLS, ids=str)
-def test_a_bad_goal_of_a_field_is_named(cell: tuple[Any, ...]) -> None:
+def test_a_bad_goal_of_a_field_is_named(cell: tuple[Any, ...], terrain: Bytes | None) -> None:
     """The distance field checks its goal as the planners do."""
     with pytest.raises(ValueError, match="goal") as error:
-        distance_field(WALLED, cell)
+        distance_field(WALLED, cell, terrain=terrain)
     assert re.search(named(cell) if cell else r"\(\)|\[\]", str(error.value))
 
 

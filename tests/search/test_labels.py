@@ -1,5 +1,5 @@
 """Labels: route, iterations and connection matrices equal the reference, for all presets and
-movements.
+movements, with terrain and without it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from helpers.grids import scipy_distances
 from helpers.specs import movements
 from scipy import ndimage
 
-from mapdata import Labels, Maps, MapSpec, generate, label
+from mapdata import Labels, Maps, MapSpec, Terrain, generate, label
 from mapdata.movement import Movement
 from mapdata.search import labels as labels_module
 from mapdata.search.ground import as_ground, load_map
@@ -25,10 +25,7 @@ from mapdata.search.kernels import search_memory
 from mapdata.search.labels import _fill_costs
 from mapdata.search.lattice import cell_at, move_rule
 
-SEARCHES: dict[str, reference.Search] = {
-    "bfs": reference.reference_bfs,
-    "astar": reference.reference_astar,
-}
+SEARCHES = reference.SEARCHES
 SPECS = {
     # Small rooms and few passages: many seeds without a path between them.
     "islands": MapSpec(
@@ -54,12 +51,19 @@ def seed_points_of(maps: Maps, i: int) -> list[reference.Cell]:
     return [(int(row), int(column)) for row, column in maps.seed_points[i, : maps.rooms[i]]]
 
 
+def terrain_of(maps: Maps, i: int) -> list[list[int]] | None:
+    """Return the terrain of the batch's map at this place, as the reference takes it."""
+    return None if maps.terrain is None else maps.terrain[i].tolist()
+
+
 def assert_route(
     maps: Maps, labels: Labels, search: str, i: int
 ) -> list[reference.ReferenceResult]:
     """Compare one planner's segments and iterations on one map, and return the reference's."""
     grid, seed_points = maps.occupancy[i].tolist(), seed_points_of(maps, i)
-    route = reference.reference_route(SEARCHES[search], grid, seed_points, maps.movement)
+    route = reference.reference_route(
+        SEARCHES[search], grid, seed_points, maps.movement, terrain_of(maps, i)
+    )
     segments = labels.route(search, i)
     assert len(segments) == len(route)
     for q, expected in enumerate(route):
@@ -87,8 +91,12 @@ def assert_equals_reference(maps: Maps, labels: Labels, i: int, every_pair: bool
     route = assert_route(maps, labels, "astar", i)
     assert_route(maps, labels, "bfs", i)
     if every_pair:
-        costs = reference.reference_matrix(reference.reference_astar, grid, seed_points, movement)
-        moves = reference.reference_matrix(reference.reference_bfs, grid, seed_points, movement)
+        costs, moves = (
+            reference.reference_matrix(
+                SEARCHES[search], grid, seed_points, movement, terrain_of(maps, i)
+            )
+            for search in ("astar", "bfs")
+        )
     else:
         rows, columns = np.array(seed_points).T
         costs = moves = scipy_distances(maps.occupancy[i], seed_points, movement)[:, rows, columns]
@@ -113,6 +121,16 @@ def assert_equals_reference(maps: Maps, labels: Labels, i: int, every_pair: bool
 def test_small_maps_equal_the_reference(some: Some, name: str, movement: Movement) -> None:
     """Everything that `label` gives, both matrices searched entry by entry."""
     maps = generate(replace(SPECS[name], movement=movement), 6, range(some(20)))
+    labels = label(maps)
+    for i in range(len(maps.rooms)):
+        assert_equals_reference(maps, labels, i, every_pair=True)
+
+
+@movements
+def test_maps_with_terrain_equal_the_reference(some: Some, movement: Movement) -> None:
+    """The same, with costs of cells; BFS counts moves all the same."""
+    islands = replace(SPECS["islands"], movement=movement)
+    maps = generate(Terrain(costs=(1, 2, 5, 30), scale=2, over=islands), 4, range(some(20)))
     labels = label(maps)
     for i in range(len(maps.rooms)):
         assert_equals_reference(maps, labels, i, every_pair=True)
