@@ -1,5 +1,5 @@
-"""The classical planners: the reference's search with another f, scipy's costs, Pohl's bound, and
-bad input refused.
+"""The classical planners: the reference's search with another f, scipy's costs and Pohl's bound, on
+maps with terrain and without it; and bad input refused.
 """
 
 from __future__ import annotations
@@ -7,7 +7,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +28,7 @@ from mapdata import (
     distance_field,
     evaluate,
 )
+from mapdata.arrays import Bytes
 from mapdata.evaluation import BatchPlanner, GoalFieldAstar, JumpPointSearch, Planner, classical
 from mapdata.evaluation.planners import BestFirst, Limit, Search, VanillaAstar
 from mapdata.movement import NEURAL_ASTAR, Movement
@@ -39,13 +40,31 @@ MOVEMENTS = [
     Movement(8, diagonal_cost=1),
 ]
 movements = pytest.mark.parametrize("movement", MOVEMENTS, ids=["4", "8", "8-cutting", "8-one"])
+on_any_map = pytest.mark.parametrize("has_terrain", [False, True], ids=["uniform", "terrain"])
 WEIGHTS = [(0, True), (1, True), (1.1, True), (1.5, True), (3, True), (1, False)]
+EXACT_WEIGHTS = [(0, True), (1, True), (1.25, True), (3, True), (1, False)]
+"""Of terrain, on which rounded multiples of h often decide otherwise than exact ones."""
 
-Grid = npt.NDArray[np.uint8]
+
+class Problem(NamedTuple):
+    """A map with two free cells, and its terrain or None."""
+
+    grid: Bytes
+    start: Cell
+    goal: Cell
+    terrain: Bytes | None
+
+    def plan(self, planner: BestFirst | GoalFieldAstar) -> Plan:
+        """Return the plan of a planner."""
+        return planner.plan(self.grid, self.start, self.goal, terrain=self.terrain)
+
+    def cost_of(self, path: npt.NDArray[np.integer[Any]], movement: Movement) -> float:
+        """Return the cost of a path, -1 without one."""
+        return check_path(self.grid, path, movement, terrain=self.terrain) if len(path) else -1.0
 
 
-def grids(count: int, seed: int) -> Iterator[tuple[Grid, Cell, Cell]]:
-    """Yield scattered grids of any shape with two free cells, connected or not."""
+def scattered(count: int, seed: int, has_terrain: bool) -> Iterator[Problem]:
+    """Yield scattered maps of any shape with two free cells, connected or not."""
     source = np.random.default_rng(seed)
     for _ in range(count):
         shape = source.integers(1, 24, size=2)
@@ -53,22 +72,32 @@ def grids(count: int, seed: int) -> Iterator[tuple[Grid, Cell, Cell]]:
         (row, column), (goal_row, goal_column) = source.integers(0, shape, size=(2, 2)).tolist()
         grid[row, column] = 0
         grid[goal_row, goal_column] = 0
-        yield grid, (row, column), (goal_row, goal_column)
+        costs = source.choice([(1, 2, 5), (3, 8, 12), (7, 100, 255)]).astype(np.uint8)
+        terrain = np.where(grid, np.uint8(0), source.choice(costs, shape))
+        yield Problem(
+            grid, (row, column), (goal_row, goal_column), terrain if has_terrain else None
+        )
 
 
 def reference_best_first(
-    grid: Grid, start: Cell, goal: Cell, movement: Movement, weight: float, uses_path_cost: bool
+    problem: Problem, movement: Movement, weight: float, uses_path_cost: bool
 ) -> Plan:
     """Pop the least f = g + weight * h, among equal f the most recently pushed: exact fractions,
     plain Python.
     """
+    grid, start, goal, terrain = problem
+    rows = grid.tolist()
+    costs_of_cells = None
+    factor = 1
+    if terrain is not None:
+        costs_of_cells = terrain.tolist()
+        factor = 2 * int(terrain[terrain > 0].min())
 
     def f(cost: reference.Pair, cell: Cell) -> Fraction:
-        heuristic = reference.weigh(reference.heuristic(cell, goal, movement), movement)
+        heuristic = reference.weigh(reference.heuristic(cell, goal, movement, factor), movement)
         way = reference.weigh(cost, movement) if uses_path_cost else 0
         return way + Fraction(weight) * heuristic
 
-    rows = grid.tolist()
     frontier = [(f((0, 0), start), 0, start)]
     costs = {start: (0, 0)}
     parents = {start: start}
@@ -82,7 +111,7 @@ def reference_best_first(
         if cell == goal:
             path = reference.trace(parents, goal)
             return Plan(np.array(path, np.int64), len(taken))
-        for neighbour, step in reference.neighbours(rows, cell, movement):
+        for neighbour, step in reference.neighbours(rows, cell, movement, costs_of_cells):
             cost = reference.add(costs[cell], step)
             if neighbour in costs:
                 known = reference.weigh(costs[neighbour], movement)
@@ -121,20 +150,26 @@ def plan_all(planner: BatchPlanner, problems: ProblemSet) -> Sequence[Plan]:
 
 
 @movements
-@pytest.mark.parametrize(("weight", "uses_path_cost"), WEIGHTS)
+@pytest.mark.parametrize(
+    ("weight", "uses_path_cost", "has_terrain"),
+    [
+        *((*weight, False) for weight in WEIGHTS),
+        *((*weight, True) for weight in EXACT_WEIGHTS),
+    ],
+)
 def test_best_first_equals_the_reference(
-    movement: Movement, weight: float, uses_path_cost: bool
+    movement: Movement, weight: float, uses_path_cost: bool, has_terrain: bool
 ) -> None:
     """Path and expansions, cell by cell: Dijkstra, A*, weighted A* and greedy search, with and
     without a path.
     """
     planner = BestFirst("it", movement, weight, uses_path_cost)
     solved = 0
-    for grid, start, goal in grids(60, 1):
-        expected = reference_best_first(grid, start, goal, movement, weight, uses_path_cost)
-        assert_same(planner.plan(grid, start, goal), expected)
+    for problem in scattered(40, 1, has_terrain):
+        expected = reference_best_first(problem, movement, weight, uses_path_cost)
+        assert_same(problem.plan(planner), expected)
         solved += len(expected.path) > 0
-    assert 0 < solved < 60
+    assert 0 < solved < 40
 
 
 @movements
@@ -147,28 +182,33 @@ def test_best_first_search_with_weight_one_is_astar(movement: Movement) -> None:
         assert_same(plan, expected)
 
 
+@on_any_map
 @movements
-def test_dijkstras_costs_are_scipys(movement: Movement) -> None:
+def test_dijkstras_costs_are_scipys(movement: Movement, has_terrain: bool) -> None:
     """The cost of Dijkstra's path is the shortest distance on scipy's graph; no path where scipy
     finds none.
     """
     planner = BestFirst("Dijkstra", movement, 0)
-    for grid, start, goal in grids(60, 2):
-        path = planner.plan(grid, start, goal).path
-        cost = check_path(grid, path, movement) if len(path) else -1
-        distances = scipy_distances(grid, [goal], movement)[0]
-        assert cost == pytest.approx(distances[start], rel=1e-12)
+    for problem in scattered(60, 2, has_terrain):
+        cost = problem.cost_of(problem.plan(planner).path, movement)
+        distances = scipy_distances(problem.grid, [problem.goal], movement, problem.terrain)[0]
+        assert cost == pytest.approx(distances[problem.start], rel=1e-12)
 
 
 @movements
-@pytest.mark.parametrize("weight", [0, 0.5, 1, 1.5, 2, 5])
-def test_weighted_costs_are_bounded(movement: Movement, weight: float) -> None:
+@pytest.mark.parametrize("preset", ["dungeon", "tiles"])
+@pytest.mark.parametrize("weight", [0, 0.5, 1, 2, 5])
+def test_weighted_costs_are_bounded(movement: Movement, preset: str, weight: float) -> None:
     """The cost is at most max(1, weight) times the optimal one."""
-    problems = ProblemSet.sample(MapSpec.preset("dungeon"), 6, 100, movement=movement)
-    plans = plan_all(BestFirst("weighted", movement, weight), problems)
+    problems = ProblemSet.sample(preset, 6, 100, movement=movement)
+    planner = BestFirst("weighted", movement, weight)
+    plans = planner.plan_batch(
+        problems.grids, problems.starts, problems.goals, terrain=problems.terrain
+    )
+    terrains = [None] * 100 if problems.terrain is None else problems.terrain
     costs = [
-        check_path(grid, plan.path, movement)
-        for grid, plan in zip(problems.grids, plans, strict=True)
+        check_path(grid, plan.path, movement, terrain=terrain)
+        for grid, plan, terrain in zip(problems.grids, plans, terrains, strict=True)
     ]
     ratios = costs / problems.optimal.cost
     assert ratios.max() <= max(1, weight) + 1e-12
@@ -217,20 +257,43 @@ def test_classical_planners_solve_problems_alone_and_in_batches(
         assert rows["limit"].plan(grid, start, goal).prepared == by_astar.iterations
 
 
+def last_optimal_moves(problem: Problem, movement: Movement) -> list[list[int]]:
+    """Return the path by the last optimal move of each cell in the order of `STEPS`, which is the
+    cell that A* would push last; no cell without a path.
+    """
+    grid, start, goal, terrain = problem
+    costs_of_cells = None if terrain is None else terrain.tolist()
+    moves = reference.reference_moves(grid.tolist(), goal, movement, costs_of_cells)
+    if start != goal and not moves[start]:
+        return []
+    path = [list(start)]
+    while path[-1] != list(goal):
+        row, column = path[-1]
+        move = int(moves[row, column]).bit_length() - 1
+        down, right = (reference.STRAIGHT + reference.DIAGONAL)[move]
+        path.append([row + down, column + right])
+    return path
+
+
+@on_any_map
 @movements
 def test_the_search_with_the_goal_field_prepares_all_cells_that_reach_the_goal(
-    movement: Movement,
+    movement: Movement, has_terrain: bool
 ) -> None:
-    """Its path is optimal, and it expands the cells of its path, none where there is no path."""
+    """It expands the cells of its path, none where there is no path, and takes the last optimal
+    move.
+    """
     planner = GoalFieldAstar("exact", movement)
-    for grid, start, goal in grids(60, 4):
-        plan = planner.plan(grid, start, goal)
-        field = distance_field(grid, goal, movement)
+    for problem in scattered(30, 4, has_terrain):
+        grid, start, goal, terrain = problem
+        plan = problem.plan(planner)
+        field = distance_field(grid, goal, movement, terrain=terrain)
         assert plan.prepared == (field >= 0).sum()
         assert plan.looks is None
         assert plan.expansions == len(plan.path)
-        cost = check_path(grid, plan.path, movement) if len(plan.path) else -1.0
-        assert cost == astar(grid, start, goal, movement).cost
+        assert plan.path.tolist() == last_optimal_moves(problem, movement)
+        cost = problem.cost_of(plan.path, movement)
+        assert cost == astar(grid, start, goal, movement, terrain=terrain).cost
 
 
 def test_jump_point_search_counts_its_looks() -> None:
