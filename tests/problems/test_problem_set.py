@@ -1,5 +1,5 @@
-"""Problems: they are the reference's, the same from a spec and from a dataset, and what has no
-answer is refused.
+"""Problems: they are the reference's, the same from a spec and from a dataset, with terrain and
+without it, and what has no answer is refused.
 """
 
 from __future__ import annotations
@@ -16,7 +16,19 @@ import pytest
 from helpers import reference
 from helpers.set_files import read_arrays, write_arrays
 
-from mapdata import MapSpec, OnlineMapDataset, ProblemSet, Random, Route, astar, build, generate
+from mapdata import (
+    MapGenerator,
+    MapSpec,
+    OnlineMapDataset,
+    ProblemSet,
+    Random,
+    Route,
+    Terrain,
+    astar,
+    build,
+    generate,
+)
+from mapdata.arrays import Bytes
 from mapdata.movement import Movement
 from mapdata.problems import HARD
 
@@ -39,58 +51,80 @@ TINY = MapSpec(
 )
 """Maps on many of which no two cells are 10 apart."""
 
+ROUGH_ROOMS = Terrain(costs=(3, 8, 60), scale=2, over=SMALL_ROOMS)
+HILLS = Terrain(map_size=(9, 14))
+
 FAR = Random(distance=(10, None))
 NARROW = Random(distance=(6, 12), hardness=(1.05, 2), length=(None, 11))
 """Conditions that the first draw on a map rarely meets."""
+STEEP = Random(distance=(20, 60), hardness=(1.1, 9), length=(5, 12))
+"""The same of maps on hills."""
 
 
 def assert_same(one: ProblemSet, other: ProblemSet) -> None:
     """Compare maps, ends and movement of two sets of problems."""
     assert one.movement == other.movement
     np.testing.assert_array_equal(one.grids, other.grids)
+    np.testing.assert_array_equal(costs_of(one), costs_of(other))
     np.testing.assert_array_equal(one.starts, other.starts)
     np.testing.assert_array_equal(one.goals, other.goals)
+
+
+def costs_of(problems: ProblemSet) -> Bytes:
+    """Return the cost of each cell, which is 1 on free cells without terrain."""
+    return 1 - problems.grids if problems.terrain is None else problems.terrain
 
 
 def chosen(problems: ProblemSet, which: slice | list[int]) -> ProblemSet:
     """Return some problems of a set."""
     return ProblemSet(
-        problems.grids[which], problems.starts[which], problems.goals[which], problems.movement
+        problems.grids[which],
+        problems.starts[which],
+        problems.goals[which],
+        problems.movement,
+        terrain=None if problems.terrain is None else problems.terrain[which],
     )
 
 
 @pytest.mark.parametrize("movement", [Movement(), Movement(8), CUTTING], ids=["4", "8", "cutting"])
-@pytest.mark.parametrize("generator", [SMALL_ROOMS, TINY], ids=["dungeon", "tiny"])
-def test_the_sample_is_the_references(generator: MapSpec, movement: Movement) -> None:
+@pytest.mark.parametrize(
+    ("generator", "conditions"),
+    [(SMALL_ROOMS, FAR), (SMALL_ROOMS, NARROW), (TINY, FAR), (TINY, NARROW), (HILLS, STEEP)],
+    ids=["dungeon", "dungeon redrawn", "tiny", "tiny redrawn", "hills"],
+)
+def test_the_sample_is_the_references(
+    generator: MapGenerator, conditions: Random, movement: Movement
+) -> None:
     """Start, goal, cost, and which maps are left out, where one draw on a map is enough and where
     many are tried.
     """
     seed = 3
-    maps = 12
-    for conditions in (FAR, NARROW):
-        grids = []
-        problems = []
-        redrawn = 0
-        for index in range(maps):
-            grid = reference.reference_map(generator, seed, index).occupancy
-            drawn = reference_problem(grid, seed, index, conditions, movement, draws=1000)
-            if drawn is None:
-                continue
-            grids.append(grid)
-            problems.append(drawn)
-            first = reference_problem(grid, seed, index, conditions, movement, draws=1)
-            redrawn += first is None
-        if generator == SMALL_ROOMS and conditions == NARROW:
-            assert redrawn > 0
-        if generator == TINY:
-            assert 0 < len(problems) < maps
+    maps = generate(generator, seed, range(12))
+    grids = maps.occupancy
+    terrains = [None] * 12 if maps.terrain is None else maps.terrain.tolist()
+    drawn: dict[int, reference.ReferenceProblem] = {}
+    redrawn = 0
+    for index, terrain in enumerate(terrains):
+        arguments = grids[index].tolist(), seed, index, conditions, movement
+        problem = reference_problem(*arguments, draws=1000, terrain=terrain)
+        if problem is not None:
+            drawn[index] = problem
+            redrawn += reference_problem(*arguments, draws=1, terrain=terrain) is None
+    if generator != TINY and conditions != FAR:
+        assert redrawn > 0
+    if generator == TINY:
+        assert 0 < len(drawn) < 12
 
-        found = ProblemSet.sample(generator, seed, maps, problems=conditions, movement=movement)
-        assert found.grids.tolist() == grids
-        assert found.starts.tolist() == [list(problem.start) for problem in problems]
-        assert found.goals.tolist() == [list(problem.goal) for problem in problems]
-        costs = [reference.as_float(problem.cost, movement) for problem in problems]
-        assert found.optimal.cost.tolist() == costs
+    found = ProblemSet.sample(generator, seed, 12, problems=conditions, movement=movement)
+    np.testing.assert_array_equal(found.grids, grids[list(drawn)])
+    costs = 1 - grids if maps.terrain is None else maps.terrain
+    np.testing.assert_array_equal(costs_of(found), costs[list(drawn)])
+    assert found.starts.tolist() == [list(problem.start) for problem in drawn.values()]
+    assert found.goals.tolist() == [list(problem.goal) for problem in drawn.values()]
+    assert found.optimal.cost.tolist() == [
+        reference.as_float(problem.cost, movement, terrains[index])
+        for index, problem in drawn.items()
+    ]
 
 
 def reference_problem(
@@ -100,10 +134,11 @@ def reference_problem(
     conditions: Random,
     movement: Movement,
     draws: int,
+    terrain: reference.Grid | None = None,
 ) -> reference.ReferenceProblem | None:
     """Return the reference's problem in epoch 0, which is that of a set of problems."""
     return reference.reference_problem(
-        grid, seed, index, 0, conditions.bands, movement, draws=draws
+        grid, seed, index, 0, conditions.bands, movement, draws=draws, terrain=terrain
     )
 
 
@@ -179,32 +214,40 @@ def test_hardness_is_cost_over_heuristic() -> None:
     np.testing.assert_allclose(octile.hardness, np.divide(costs, heuristics), rtol=1e-12)
 
 
-def test_hardness_of_sampled_problems() -> None:
-    """The cost is the reference's and that of a search of one map, the heuristic the
-    reference's.
+@pytest.mark.parametrize(
+    ("generator", "some"), [(DUNGEON, range(1, 20)), (HILLS, range(16, 21))], ids=["grids", "hills"]
+)
+def test_hardness_of_sampled_problems(generator: MapGenerator, some: range) -> None:
+    """The cost is the reference's and that of a search of one map, the heuristic the reference's:
+    on terrain, that of a map whose cells all have the smallest cost. Nearly all hills are hard.
     """
     movement = Movement(8)
-    problems = ProblemSet.sample(DUNGEON, 8, 20, movement=Movement(8))
-    for k in range(20):
+    problems = ProblemSet.sample(generator, 8, 20, movement=Movement(8))
+    for k, grid in enumerate(problems.grids):
+        terrain = None if problems.terrain is None else problems.terrain[k]
+        costs = None if terrain is None else terrain.tolist()
         start = tuple(problems.starts[k].tolist())
         goal = tuple(problems.goals[k].tolist())
-        truth = reference.reference_astar(problems.grids[k].tolist(), start, goal, movement)
-        heuristic = reference.as_float(reference.heuristic(start, goal, movement), movement)
-        hardness = truth.cost / heuristic
+        truth = reference.reference_astar(grid.tolist(), start, goal, movement, costs)
+        factor = 1 if terrain is None else 2 * int(terrain[terrain > 0].min())
+        lower_bound = reference.heuristic(start, goal, movement, factor)
+        hardness = truth.cost / reference.as_float(lower_bound, movement, costs)
         assert problems.optimal.cost[k] == truth.cost
-        assert astar(problems.grids[k], start, goal, movement).cost == truth.cost
+        assert problems.optimal.iterations[k] == truth.iterations
+        assert astar(grid, start, goal, movement, terrain=terrain).cost == truth.cost
         assert problems.hardness[k] == pytest.approx(hardness, rel=1e-12)
         assert problems.hard[k] == (hardness >= HARD)
-    assert 0 < problems.hard.sum() < 20
+    assert problems.hard.sum() in some
 
 
-def test_a_dataset_gives_the_problems_of_its_spec(tmp_path: Path) -> None:
+@pytest.mark.parametrize("generator", [DUNGEON, HILLS], ids=["grids", "hills"])
+def test_a_dataset_gives_the_problems_of_its_spec(generator: MapGenerator, tmp_path: Path) -> None:
     """On the test split of a root stand the problems that its spec and seed give on these maps."""
-    build(tmp_path, DUNGEON, maps=120, seed=9, shard_size=50, workers=1)
-    every = ProblemSet.sample(DUNGEON, 9, 120, movement=Movement(8))
+    build(tmp_path, generator, maps=120, seed=9, shard_size=50, workers=1)
+    every = ProblemSet.sample(generator, 9, 120, movement=Movement(8))
     assert len(every) == 120  # problem k is on map k
-    test = [k for k in range(120) if reference.reference_split(DUNGEON, 9, k) == 2]
-    train = [k for k in range(120) if reference.reference_split(DUNGEON, 9, k) == 0]
+    test = [k for k in range(120) if reference.reference_split(generator, 9, k) == 2]
+    train = [k for k in range(120) if reference.reference_split(generator, 9, k) == 0]
     assert len(test) > 3
     assert len(train) > 60
     assert_same(ProblemSet.read(tmp_path, movement=Movement(8)), chosen(every, test))
@@ -230,16 +273,18 @@ def test_a_split_without_maps_is_named(tmp_path: Path) -> None:
 def test_the_arrays_cannot_be_written() -> None:
     """They are copies: neither the caller's arrays nor a planner changes the problems."""
     grids = np.zeros((1, 2, 3), np.uint8)
+    terrain = np.full((1, 2, 3), 5, np.uint8)
     starts = np.array([[0, 0]])
     goals = np.array([[1, 2]])
-    problems = ProblemSet(grids, starts, goals, Movement())
-    grids[:] = 1
-    starts[:] = 1
-    goals[:] = 1
+    problems = ProblemSet(grids, starts, goals, Movement(), terrain=terrain)
+    for own in (grids, terrain, starts, goals):
+        own[:] = 1
+    assert problems.terrain is not None
     assert not problems.grids.any()
+    assert (problems.terrain == 5).all()
     assert problems.starts.tolist() == [[0, 0]]
     assert problems.goals.tolist() == [[1, 2]]
-    for array in (problems.grids, problems.starts, problems.goals):
+    for array in (problems.grids, problems.terrain, problems.starts, problems.goals):
         with pytest.raises(ValueError, match="read-only"):
             array[:] = 0
 
@@ -249,8 +294,15 @@ def test_the_arrays_have_one_type() -> None:
     grids = np.zeros((1, 2, 3), np.int64)
     starts = np.array([[0, 0]], np.int8)
     goals = np.array([[1, 2]], np.int32)
-    problems = ProblemSet(grids, starts, goals, Movement())  # type: ignore[arg-type]
-    assert problems.grids.dtype == np.uint8
+    problems = ProblemSet(
+        grids,  # type: ignore[arg-type]
+        starts,  # type: ignore[arg-type]
+        goals,  # type: ignore[arg-type]
+        Movement(),
+        terrain=grids + 1,  # type: ignore[arg-type]
+    )
+    assert problems.terrain is not None
+    assert problems.grids.dtype == problems.terrain.dtype == np.uint8
     assert problems.starts.dtype == np.int64
     assert problems.goals.dtype == np.int64
 
@@ -334,9 +386,12 @@ def test_a_sample_in_vain_tries_no_map_too_many(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.parametrize("movement", [Movement(), CUTTING], ids=["4", "cutting"])
-def test_a_saved_set_is_the_same(movement: Movement, tmp_path: Path) -> None:
+@pytest.mark.parametrize("generator", [DUNGEON, HILLS], ids=["grids", "hills"])
+def test_a_saved_set_is_the_same(
+    generator: MapGenerator, movement: Movement, tmp_path: Path
+) -> None:
     """To the last array, with movement and words; its bytes and hash are those of the problems."""
-    problems = ProblemSet.sample(DUNGEON, 77, 20, movement=movement)
+    problems = ProblemSet.sample(generator, 77, 20, movement=movement)
     path = tmp_path / "set.npz"
     problems.save(path)
     again = ProblemSet.load(path)
@@ -414,7 +469,7 @@ def test_a_save_removes_what_a_killed_one_left(tmp_path: Path) -> None:
 
 
 def test_the_hash_tells_sets_apart() -> None:
-    """By maps, ends and movement; not by words. One is golden."""
+    """By maps, costs, ends and movement; not by words. One is golden."""
     grid = np.array([[0, 0, 0], [0, 1, 0]])
     problems = ProblemSet(grid[None], np.array([[0, 0]]), np.array([[1, 2]]), Movement())
     golden = "1bf9f5c51756f669d05ec4ffbeb97619ba32f691e8c76b05aa62cc8bbf2c8ad1"
@@ -425,9 +480,11 @@ def test_the_hash_tells_sets_apart() -> None:
         replace(problems, goals=np.array([[0, 2]])),
         replace(problems, grids=np.zeros((1, 2, 3), int)),
         replace(problems, movement=Movement(8)),
+        replace(problems, terrain=1 - grid[None]),
+        replace(problems, terrain=2 - 2 * grid[None]),
     ]
     hashes = {golden, *(other.content_hash for other in others)}
-    assert len(hashes) == 5
+    assert len(hashes) == 7
 
 
 NO_SETS: dict[str, dict[str, Any]] = {
@@ -492,24 +549,25 @@ def test_problems_of_no_source_are_refused() -> None:
 
 
 @pytest.mark.parametrize("problems", ["route", "pairs"])
+@pytest.mark.parametrize("generator", [SMALL_ROOMS, ROUGH_ROOMS], ids=["grids", "terrain"])
 def test_problems_between_seed_points_are_those_that_an_online_dataset_serves_first(
-    problems: str,
+    problems: str, generator: MapGenerator
 ) -> None:
     """On every map, under the movement and radius of the call."""
-    generator = replace(SMALL_ROOMS, resolution=1.0)
     movement = Movement(8)
-    options: dict[str, Any] = {"problems": problems, "movement": movement, "radius": 0.7}
+    options: dict[str, Any] = {"problems": problems, "movement": movement, "radius": 0.07}
     dataset = OnlineMapDataset(
-        generator, 5, 90, fields=("map", "start", "goal"), sampling_seed=5, **options
+        generator, 5, 90, fields=("terrain", "start", "goal"), sampling_seed=5, **options
     )
     samples = dataset[:]
     sampled = ProblemSet.sample(generator, 5, 90, **options)
+    assert "inflated by" in sampled.description
     served = {
-        (grid.numpy().tobytes(), tuple(start.tolist()), tuple(goal.tolist()))
-        for grid, start, goal in zip(
-            samples.map[:, 0].byte(), samples.start, samples.goal, strict=True
+        (costs.numpy().tobytes(), tuple(start.tolist()), tuple(goal.tolist()))
+        for costs, start, goal in zip(
+            samples.terrain[:, 0], samples.start, samples.goal, strict=True
         )
     }
     assert len(sampled) > 10
-    for grid, start, goal in zip(sampled.grids, sampled.starts, sampled.goals, strict=True):
-        assert (grid.tobytes(), tuple(start.tolist()), tuple(goal.tolist())) in served
+    for costs, start, goal in zip(costs_of(sampled), sampled.starts, sampled.goals, strict=True):
+        assert (costs.tobytes(), tuple(start.tolist()), tuple(goal.tolist())) in served

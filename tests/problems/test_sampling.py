@@ -1,17 +1,19 @@
-"""Random problems: those of the reference under any conditions, uniform, and the same for ever."""
+"""Random problems: those of the reference under any conditions, uniform, and the same for ever; on
+maps with terrain and without it.
+"""
 
 from __future__ import annotations
 
 import hashlib
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 import torch
 from helpers import reference
-from helpers.examples import slow
+from helpers.examples import examples, slow
 from helpers.reference import Cell
 from helpers.samples import assert_same, cells_of
 from hypothesis import given
@@ -53,30 +55,37 @@ NO_PROBLEM = -1
 """What start, goal and cost of a map without a problem are filled with."""
 
 
-def sample(
-    grids: Bytes,
+def ends_on(
+    maps: MapStack,
     seed: int,
     epoch: int,
     conditions: Random,
     movement: Movement,
     goals: Ints | None = None,
 ) -> Ints:
+    """Sample a problem on each of the maps 0, 1, ...; return start and goal, (B, 4), or -1."""
+    count = len(maps.grids)
+    ends, row, high_cost = sample_problems(
+        maps,
+        goals,
+        np.uint64(seed),
+        epoch,
+        np.arange(count),
+        DRAWS,
+        *conditions.conditions,
+        move_rule(movement),
+    )
+    assert (row, high_cost) == (count, 0)
+    return ends
+
+
+def sample(grids: Bytes, seed: int, epoch: int, conditions: Random, movement: Movement) -> Ints:
     """Sample a problem on each of the grids 0, 1, ...; return start, goal and cost, (B, 6).
 
     The cost is that of a shortest path, straight and diagonal steps; where these cost the same, all
     count as straight. Without a problem all is -1.
     """
-    indices = np.arange(len(grids))
-    ends, *_ = sample_problems(
-        MapStack(grids, None),
-        goals,
-        np.uint64(seed),
-        epoch,
-        indices,
-        DRAWS,
-        *conditions.conditions,
-        move_rule(movement),
-    )
+    ends = ends_on(MapStack(grids, None), seed, epoch, conditions, movement)
     sampled = np.full((len(grids), 6), NO_PROBLEM)
     for k, (row, column, goal_row, goal_column) in enumerate(ends.tolist()):
         sampled[k, :4] = ends[k]
@@ -98,43 +107,34 @@ def steps_of(path: Ints, movement: Movement) -> tuple[int, int]:
 
 
 def assert_equals_the_reference(
-    grids: Bytes,
+    maps: MapStack,
     seed: int,
     epoch: int,
     conditions: Random,
     movement: Movement,
     goals: Ints | None = None,
 ) -> int:
-    """Compare the problem of each grid with that of the slow reference; return how many have
-    one.
-    """
-    sampled = sample(grids, seed, epoch, conditions, movement, goals).tolist()
+    """Compare the problem of each map with that of the slow reference; return how many have one."""
+    ends = ends_on(maps, seed, epoch, conditions, movement, goals).tolist()
     with_problem = 0
-    for index, (row, column, goal_row, goal_column, straight, diagonal) in enumerate(sampled):
+    for index, grid in enumerate(maps.grids):
         only_goal = None
         if goals is not None:
             goal = goals[index].tolist()
             only_goal = (goal[0], goal[1])
         truth = reference.reference_problem(
-            grids[index].tolist(),
+            grid.tolist(),
             seed,
             index,
             epoch,
             conditions.bands,
             movement,
             only_goal=only_goal,
+            terrain=None if maps.terrain is None else maps.terrain[index].tolist(),
         )
-        if truth is None:
-            assert sampled[index] == [NO_PROBLEM] * 6
-            continue
-        with_problem += 1
-        assert (row, column) == truth.start
-        assert (goal_row, goal_column) == truth.goal
-        if movement.diagonal_cost == 1:
-            assert straight == sum(truth.cost)
-            assert diagonal == 0
-        else:
-            assert (straight, diagonal) == truth.cost
+        expected = [NO_PROBLEM] * 4 if truth is None else [*truth.start, *truth.goal]
+        assert ends[index] == expected
+        with_problem += truth is not None
     return with_problem
 
 
@@ -149,6 +149,14 @@ small_grids = arrays.arrays(
 )
 
 
+def terrain_on(grids: Bytes, costs: range, seed: int) -> Bytes:
+    """Return terrain with the obstacles of grids."""
+    drawn = np.random.default_rng(seed).choice(costs, grids.shape)
+    return np.where(grids, 0, drawn).astype(np.uint8)
+
+
+@pytest.mark.parametrize("costs", [None, range(1, 4), range(1, 256)], ids=str)
+@examples(200)
 @given(
     grids=small_grids,
     seed=st.integers(0, 2**64 - 1),
@@ -158,16 +166,23 @@ small_grids = arrays.arrays(
     has_goals=st.booleans(),
 )
 def test_the_kernel_is_the_reference(
-    grids: Bytes, seed: int, epoch: int, conditions: Random, movement: Movement, has_goals: bool
+    costs: range | None,
+    grids: Bytes,
+    seed: int,
+    epoch: int,
+    conditions: Random,
+    movement: Movement,
+    has_goals: bool,
 ) -> None:
-    """Start, goal and cost on any map under any conditions, or none where there is none; the goal
-    is any cell, or the last one.
+    """Start and goal on any map under any conditions, or none where there is none; the goal is any
+    cell, or the last one.
     """
     goals = None
     if has_goals:
         last = np.array(grids.shape[1:]) - 1
         goals = np.tile(last, (len(grids), 1))
-    assert_equals_the_reference(grids, seed, epoch, conditions, movement, goals)
+    maps = MapStack(grids, None if costs is None else terrain_on(grids, costs, seed))
+    assert_equals_the_reference(maps, seed, epoch, conditions, movement, goals)
 
 
 @pytest.mark.parametrize("movement", MOVEMENTS)
@@ -182,7 +197,9 @@ def test_wide_maps(columns: int, movement: Movement) -> None:
         Random(distance=(2.5, 9.5)),
         Random(hardness=(1.1, None)),
     ):
-        with_problem = assert_equals_the_reference(grids, 3, 1, conditions, movement)
+        with_problem = assert_equals_the_reference(
+            MapStack(grids, None), 3, 1, conditions, movement
+        )
         assert with_problem > 0
 
 
@@ -353,20 +370,40 @@ def test_frequencies_are_those_of_the_stated_distribution(movement: Movement, ra
         assert_frequencies(to_goal, grid, conditions, movement, goal=goal)
 
 
+class Around(NamedTuple):
+    """A map, its terrain or None, and a goal."""
+
+    grid: Bytes
+    terrain: Bytes | None
+    goal: Cell
+
+
+SLOPE = np.array([[1, 5, 3], [2, 0, 7]], np.uint8)
+
+
+@pytest.mark.parametrize(
+    "around",
+    [Around(WINDING, None, (3, 2)), Around((SLOPE == 0).astype(np.uint8), SLOPE, (0, 0))],
+    ids=["uniform", "terrain"],
+)
 @pytest.mark.parametrize("movement", [*MOVEMENTS, NEURAL_ASTAR], ids=str)
-def test_both_ends_of_a_band_are_included(movement: Movement) -> None:
+def test_both_ends_of_a_band_are_included(around: Around, movement: Movement) -> None:
     """Bands that end at the value of a start, or at the next float: that start is in, or out."""
-    goal = (3, 2)
-    grid = WINDING.tolist()
-    costs = reference.reference_distances(grid, goal, movement)
+    goal = around.goal
+    grid = around.grid.tolist()
+    terrain = None if around.terrain is None else around.terrain.tolist()
+    factor = 1 if around.terrain is None else 2 * int(around.terrain[around.terrain > 0].min())
+    costs = reference.reference_distances(grid, goal, movement, terrain)
     values: dict[str, set[float]] = {"distance": set(), "hardness": set()}
     for start, cost in costs.items():
         if start != goal:
-            distance = reference.as_float(cost, movement)
-            bound = reference.as_float(reference.heuristic(start, goal, movement), movement)
+            distance = reference.as_float(cost, movement, terrain)
+            lower_bound = reference.heuristic(start, goal, movement, factor)
+            bound = reference.as_float(lower_bound, movement, terrain)
             values["distance"].add(distance)
             values["hardness"].add(distance / bound)
     count = 300  # of each start about 10
+    maps = MapStack(around.grid[None], None if around.terrain is None else around.terrain[None])
     for name, ends in values.items():
         for end in sorted(ends):
             above = float(np.nextafter(end, np.inf))
@@ -375,7 +412,7 @@ def test_both_ends_of_a_band_are_included(movement: Movement) -> None:
                 bands: dict[str, Any] = {name: band}
                 conditions = Random(**bands)
                 sampled, *_ = sample_problems(
-                    MapStack(np.repeat(WINDING[None], count, axis=0), None),
+                    maps.select(np.zeros(count, np.int64)),
                     np.tile(goal, (count, 1)),
                     np.uint64(3),
                     0,
@@ -385,7 +422,9 @@ def test_both_ends_of_a_band_are_included(movement: Movement) -> None:
                     move_rule(movement),
                 )
                 drawn = {(row, column) for row, column in sampled[:, :2].tolist()}
-                within = reference.starts_within(grid, goal, costs, conditions.bands, movement)
+                within = reference.starts_within(
+                    grid, goal, costs, conditions.bands, movement, terrain
+                )
                 assert drawn == (set(within) or {(NO_PROBLEM, NO_PROBLEM)}), band
 
 
@@ -426,6 +465,39 @@ def test_frequencies_on_terrain_are_those_of_the_stated_distribution(movement: M
         goal = next(iter(probabilities))[0]
         to_goal = {pair: 1.0 for pair in probabilities if pair[0] == goal}
         assert_frequencies(to_goal, grid, conditions, movement, terrain=terrain, goal=goal)
+
+
+@pytest.mark.parametrize("conditions", [Random(), Random(distance=(1, None))])
+def test_without_conditions_the_problems_on_terrain_are_those_of_its_grid(
+    conditions: Random,
+) -> None:
+    """No move costs less than 1, so all connected cells are far enough."""
+    grids = (np.random.default_rng(5).random((20, 9, 10)) < 0.3).astype(np.uint8)
+    terrain = terrain_on(grids, range(1, 256), 5)
+    on_terrain, on_grids = (
+        ends_on(MapStack(grids, costs), 4, 3, conditions, Movement(8)) for costs in (terrain, None)
+    )
+    np.testing.assert_array_equal(on_terrain, on_grids)
+
+
+def test_a_terrain_whose_costs_are_too_high_is_reported() -> None:
+    """With its number and cost, so that the caller can name the map; earlier problems are there."""
+    terrains = np.full((3, 1, 5000), 255, np.uint8)
+    terrains[0] = 3
+    ends, row, high_cost = sample_problems(
+        MapStack(np.zeros_like(terrains), terrains),
+        None,
+        np.uint64(1),
+        3,
+        np.arange(3),
+        DRAWS,
+        *Random((2, None)).conditions,
+        move_rule(Movement(8)),
+    )
+    assert (ends[0] >= 0).all()
+    assert (ends[1:] == NO_PROBLEM).all()
+    assert row == 1
+    assert high_cost >= 2**62
 
 
 @pytest.mark.parametrize("to_first", [False, True])

@@ -109,9 +109,10 @@ def test_maps_that_are_shared_take_the_memory_of_the_different_ones(
     assert path.stat().st_size < 50_000
 
 
-def test_a_shared_map_stays_shared(tmp_path: Path) -> None:
+@pytest.mark.parametrize("terrain", [False, True])
+def test_a_shared_map_stays_shared(tmp_path: Path, *, terrain: bool) -> None:
     """Loaded, pickled and divided sets repeat the one map, also if it was given many times."""
-    problems = walled(30, 1)
+    problems = walled(30, 1, terrain=terrain)
     copies = [
         problems,
         ProblemSet.load(saved(problems, tmp_path)),
@@ -122,6 +123,7 @@ def test_a_shared_map_stays_shared(tmp_path: Path) -> None:
     ]
     for one in copies:
         assert one.grids.strides[0] == 0
+        assert (one.grids if one.terrain is None else one.terrain).strides[0] == 0
         assert one.map_indices.tolist() == [0] * len(one)
         assert one.map_count == 1
 
@@ -227,12 +229,35 @@ BAD_ARRAYS: dict[str, tuple[dict[str, Array], str]] = {
 }
 
 
-@pytest.mark.parametrize(("changes", "reason"), BAD_ARRAYS.values(), ids=BAD_ARRAYS)
+BAD_TERRAIN: dict[str, tuple[dict[str, Array], str]] = {
+    "high costs": ({"terrain": np.full((2, 24, 24), 300)}, "terrain: got the value 300"),
+    "parts of costs": ({"terrain": np.full((2, 24, 24), 0.5)}, "terrain: got dtype float64"),
+    "more terrain": (
+        {"terrain": np.ones((3, 24, 24), np.uint8)},
+        "map_indices holds 2 different numbers, expected 3",
+    ),
+    "flat terrain": ({"terrain": np.ones((2, 576), np.uint8)}, "have shapes"),
+    "equal terrain": ({"terrain": np.ones((2, 24, 24), np.uint8)}, "two of its maps are equal"),
+    "occupied ends": (
+        {"terrain": np.arange(1152).reshape(2, 24, 24) % 23},
+        "start: .* is on an occupied cell",
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    ("terrain", "changes", "reason"),
+    [
+        *((False, *case) for case in BAD_ARRAYS.values()),
+        *((True, *case) for case in BAD_TERRAIN.values()),
+    ],
+    ids=[*BAD_ARRAYS, *BAD_TERRAIN],
+)
 def test_arrays_that_do_not_fit_are_refused(
-    changes: dict[str, Array], reason: str, tmp_path: Path
+    changes: dict[str, Array], reason: str, tmp_path: Path, *, terrain: bool
 ) -> None:
     """By the name of the file, also where its hash fits."""
-    path = saved(walled(4, 2), tmp_path)
+    path = saved(walled(4, 2, terrain=terrain), tmp_path)
     write_arrays(path, read_arrays(path) | changes)
     with pytest.raises(ValueError, match=rf"set\.npz: holds no saved problems \(.*{reason}"):
         ProblemSet.load(path)
