@@ -1,5 +1,5 @@
-"""Every field of a sample equals slow plain Python, on maps of any size, for all movements and both
-planners.
+"""Every field of a sample equals slow plain Python, on maps of any size, with terrain and without
+it, for all movements and both planners.
 """
 
 from __future__ import annotations
@@ -16,7 +16,17 @@ from helpers.grids import scipy_distances, serpentine
 from helpers.reference import Cell
 from helpers.specs import movements
 
-from mapdata import Labels, MapDataset, Movement, OnlineMapDataset, Sample, generate, label
+from mapdata import (
+    Labels,
+    MapDataset,
+    MapGenerator,
+    Movement,
+    OnlineMapDataset,
+    Sample,
+    generate,
+    label,
+)
+from mapdata.arrays import Bytes
 from mapdata.datasets import FIELDS, Batch
 from mapdata.datasets.fields import Rooms, room_matrices
 from mapdata.problems.drawing import Paths
@@ -24,32 +34,59 @@ from mapdata.search.map_stack import MapStack
 
 Array = npt.NDArray[Any]
 planners = pytest.mark.parametrize("search", ["bfs", "astar"])
+COSTS = (2, 3, 8, 91, 255)
+"""Costs of the cells of terrain."""
 
-SEARCHES: dict[str, reference.Search] = {
-    "bfs": reference.reference_bfs,
-    "astar": reference.reference_astar,
-}
+on_any_map = pytest.mark.parametrize("costs", [(), COSTS], ids=["uniform", "terrain"])
+searches_on_any_map = pytest.mark.parametrize(
+    ("search", "costs"),
+    [("bfs", ()), ("astar", COSTS), ("astar", ()), ("bfs", COSTS)],
+    ids=["bfs-uniform", "astar-terrain", "astar-uniform", "bfs-terrain"],
+)
+
+SEARCHES = reference.SEARCHES
 SHAPES = [(1, 1), (1, 9), (9, 1), (2, 2), (13, 13), (11, 17), (4, 70), (3, 129)]
 DENSITIES = (0.0, 0.1, 0.2, 0.3, 0.45, 1.0)
 
 
 class Problem(NamedTuple):
-    """A grid with two free cells."""
+    """A map with two free cells, and its terrain or None."""
 
-    grid: npt.NDArray[np.uint8]
+    grid: Bytes
     start: Cell
     goal: Cell
+    terrain: Bytes | None = None
 
+    @property
     def rows(self) -> list[list[int]]:
-        """Return the grid as the reference wants it."""
+        """The grid as the reference wants it."""
         rows: list[list[int]] = self.grid.tolist()
         return rows
 
+    @property
+    def costs(self) -> list[list[int]] | None:
+        """The terrain as the reference wants it."""
+        return None if self.terrain is None else self.terrain.tolist()
+
+    def lower_bound(self, cell: Cell, movement: Movement) -> float:
+        """Return the heuristic of a cell: the cost to the goal on a map of the cheapest cells."""
+        factor = 1 if self.terrain is None else 2 * int(self.terrain[self.terrain > 0].min())
+        bound = reference.heuristic(cell, self.goal, movement, factor)
+        return reference.as_float(bound, movement, self.costs)
+
+    def costs_from(self, cell: Cell, movement: Movement) -> dict[Cell, reference.Pair]:
+        """Return the exact costs between a cell and all that it is connected to."""
+        return reference.reference_distances(self.rows, cell, movement, self.costs)
+
+    def solved(self, search: str, movement: Movement) -> reference.ReferenceResult:
+        """Return what a search finds."""
+        return SEARCHES[search](self.rows, self.start, self.goal, movement, self.costs)
+
 
 @cache
-def problems_of(shape: tuple[int, int]) -> list[Problem]:
+def problems_of(shape: tuple[int, int], costs: tuple[int, ...] = ()) -> list[Problem]:
     """Return problems of one size: scattered, a serpentine, walled in, and one whose start is its
-    goal.
+    goal. With costs, their free cells have terrain.
     """
     source = np.random.default_rng(shape)
     grids = [(source.random(shape) < density).astype(np.uint8) for density in DENSITIES]
@@ -61,13 +98,16 @@ def problems_of(shape: tuple[int, int]) -> list[Problem]:
         ]
         goal = start if k == len(grids) - 1 else goal
         grid[start] = grid[goal] = 0
-        problems.append(Problem(grid, start, goal))
+        terrain = None
+        if costs:
+            terrain = np.where(grid, 0, source.choice(costs, shape)).astype(np.uint8)
+        problems.append(Problem(grid, start, goal, terrain))
     return problems
 
 
 def batch_of(problems: list[Problem], movement: Movement, search: str = "astar") -> Batch:
     """Return the batch of these problems, with the paths of the reference."""
-    found = [SEARCHES[search](one.rows(), one.start, one.goal, movement) for one in problems]
+    found = [one.solved(search, movement) for one in problems]
     cells = np.array([cell for result in found for cell in result.path], np.int64).reshape(-1, 2)
     offsets = np.concatenate(([0], np.cumsum([len(result.path) for result in found])))
     paths = Paths(cells, offsets, np.array([result.iterations for result in found]))
@@ -76,6 +116,12 @@ def batch_of(problems: list[Problem], movement: Movement, search: str = "astar")
         raise AssertionError("nobody asked for rooms")
 
     grids = np.stack([one.grid for one in problems])
+    terrains = [one.terrain for one in problems if one.terrain is not None]
+
+    def stored_maps() -> MapStack:
+        assert terrains, "nothing but pictures needs the stored maps without terrain"
+        return MapStack(grids, np.stack(terrains))
+
     return Batch(
         movement=movement,
         search=search,
@@ -87,7 +133,8 @@ def batch_of(problems: list[Problem], movement: Movement, search: str = "astar")
         compute_paths=lambda name: paths if name == search else None,
         compute_rooms=no_rooms,
         compute_map_numbers=lambda: np.arange(len(problems)),
-        compute_stored_maps=lambda: MapStack(grids, None),
+        compute_stored_maps=stored_maps,
+        has_terrain=bool(terrains),
         symmetries=np.zeros(len(problems), np.int64),
         requested_fields=tuple(FIELDS),
     )
@@ -96,20 +143,22 @@ def batch_of(problems: list[Problem], movement: Movement, search: str = "astar")
 # --- around the goal ----------------------------------------------------------------------------
 
 
+@on_any_map
 @movements
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_fields_around_the_goal(shape: tuple[int, int], movement: Movement) -> None:
+def test_fields_around_the_goal(
+    shape: tuple[int, int], movement: Movement, costs: tuple[int, ...]
+) -> None:
     """`cost_to_go`, `heuristic_ratio`, `optimal_mask` and `optimal_moves`, cell by cell."""
-    problems = problems_of(shape)
+    problems = problems_of(shape, costs)
     batch = batch_of(problems, movement)
     for k, problem in enumerate(problems):
-        to_goal = reference.reference_distances(problem.rows(), problem.goal, movement)
         field = np.full(shape, -1, np.float32)
         ratio = np.zeros(shape, np.float32)
-        for cell, cost in to_goal.items():
-            field[cell] = reference.as_float(cost, movement)
-            least = reference.as_float(reference.heuristic(cell, problem.goal, movement), movement)
-            ratio[cell] = 1 if cell == problem.goal else least / reference.as_float(cost, movement)
+        for cell, pair in problem.costs_from(problem.goal, movement).items():
+            cost = reference.as_float(pair, movement, problem.costs)
+            field[cell] = cost
+            ratio[cell] = problem.lower_bound(cell, movement) / cost if cost else 1
         np.testing.assert_array_equal(FIELDS["cost_to_go"](batch)[k, 0], field)
         np.testing.assert_allclose(FIELDS["heuristic_ratio"](batch)[k, 0], ratio, rtol=1e-6)
         np.testing.assert_array_equal(
@@ -117,15 +166,15 @@ def test_fields_around_the_goal(shape: tuple[int, int], movement: Movement) -> N
         )
         np.testing.assert_array_equal(
             FIELDS["optimal_moves"](batch)[k, 0],
-            reference.reference_moves(problem.rows(), problem.goal, movement),
+            reference.reference_moves(problem.rows, problem.goal, movement, problem.costs),
         )
 
 
 def optimal_cells(problem: Problem, movement: Movement) -> Array:
     """Mark all cells n with d(start, n) + d(n, goal) = d(start, goal), exactly."""
     mask = np.zeros(problem.grid.shape, np.uint8)
-    from_start = reference.reference_distances(problem.rows(), problem.start, movement)
-    to_goal = reference.reference_distances(problem.rows(), problem.goal, movement)
+    from_start = problem.costs_from(problem.start, movement)
+    to_goal = problem.costs_from(problem.goal, movement)
     if problem.start in to_goal:
         best = reference.weigh(to_goal[problem.start], movement)
         for cell, cost in to_goal.items():
@@ -152,7 +201,7 @@ def test_following_optimal_moves_leads_to_the_goal(movement: Movement) -> None:
     """
     problem = problems_of((13, 13))[3]
     moves = FIELDS["optimal_moves"](batch_of([problem], movement))[0, 0]
-    to_goal = reference.reference_field(problem.rows(), problem.goal, movement)
+    to_goal = reference.reference_field(problem.rows, problem.goal, movement)
     source = np.random.default_rng(0)
     steps = reference.STRAIGHT + reference.DIAGONAL
     for row, column in np.argwhere(to_goal > 0).tolist():
@@ -161,29 +210,28 @@ def test_following_optimal_moves_leads_to_the_goal(movement: Movement) -> None:
             choices = [step for bit, step in enumerate(steps) if moves[path[-1]] >> bit & 1]
             down, right = choices[source.integers(len(choices))]
             path.append((path[-1][0] + down, path[-1][1] + right))
-        assert reference.first_bad_step(problem.rows(), path, movement) is None
+        assert reference.first_bad_step(problem.rows, path, movement) is None
         assert reference.path_cost(path, movement) == pytest.approx(to_goal[row, column], rel=1e-6)
 
 
 # --- of the path --------------------------------------------------------------------------------
 
 
-@planners
+@searches_on_any_map
 @movements
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_fields_of_the_path(shape: tuple[int, int], movement: Movement, search: str) -> None:
+def test_fields_of_the_path(
+    shape: tuple[int, int], movement: Movement, search: str, costs: tuple[int, ...]
+) -> None:
     """`path`, `length`, `cost`, `hardness`, `iterations` and the masks."""
-    problems = problems_of(shape)
+    problems = problems_of(shape, costs)
     batch = batch_of(problems, movement, search)
-    found = {
-        name: FIELDS[name](batch)
-        for name in FIELDS
-        if name not in ("connection_matrix", "seed_points")
-    }
+    others = {"connection_matrix", "seed_points", "image", *(["waypoints"] if costs else [])}
+    found = {name: FIELDS[name](batch) for name in FIELDS if name not in others}
     assert found["path"].shape[1] % 16 == 0
     assert found["path"].shape[1] - 16 < max(found["length"]) <= found["path"].shape[1]
     for k, problem in enumerate(problems):
-        truth = SEARCHES[search](problem.rows(), problem.start, problem.goal, movement)
+        truth = problem.solved(search, movement)
         assert samples.cells_of(torch.from_numpy(found["path"][k])) == truth.path
         assert found["length"][k] == len(truth.path)
         assert found["cost"][k] == np.float32(truth.cost)
@@ -200,7 +248,8 @@ def test_fields_of_the_path(shape: tuple[int, int], movement: Movement, search: 
             np.testing.assert_array_equal(found[name][k, 0], mask, err_msg=name)
         np.testing.assert_array_equal(found["map"][k, 0], problem.grid)
         np.testing.assert_array_equal(found["free"][k, 0], 1 - problem.grid)
-        np.testing.assert_array_equal(found["terrain"][k, 0], 1 - problem.grid)
+        cell_costs = 1 - problem.grid if problem.terrain is None else problem.terrain
+        np.testing.assert_array_equal(found["terrain"][k, 0], cell_costs)
         assert (*found["start"][k], *found["goal"][k]) == (*problem.start, *problem.goal)
         assert found["problem"][k] == k
         assert found["map_index"][k] == 3 * k
@@ -211,29 +260,31 @@ def hardness_of(problem: Problem, movement: Movement) -> float:
     """Return optimal cost over heuristic, whichever planner is served: 1 when start = goal, -1
     without a path.
     """
-    best = reference.reference_distances(problem.rows(), problem.goal, movement).get(problem.start)
-    least = reference.heuristic(problem.start, problem.goal, movement)
-    if best is None or least == (0, 0):
+    best = problem.costs_from(problem.goal, movement).get(problem.start)
+    least = problem.lower_bound(problem.start, movement)
+    if best is None or least == 0:
         return -1.0 if best is None else 1.0
-    return reference.as_float(best, movement) / reference.as_float(least, movement)
+    return reference.as_float(best, movement, problem.costs) / least
 
 
-@planners
+@searches_on_any_map
 @movements
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_path_probability(shape: tuple[int, int], movement: Movement, search: str) -> None:
+def test_path_probability(
+    shape: tuple[int, int], movement: Movement, search: str, costs: tuple[int, ...]
+) -> None:
     """TransPath's map from scipy's distances: L / (d(start, n) + d(n, goal) + d(n, path)), below
     0.95 set to 0. The path is that of A*, whichever search is served.
     """
-    problems = problems_of(shape)
+    problems = problems_of(shape, costs)
     found = FIELDS["path_probability"](batch_of(problems, movement, search))
     for k, problem in enumerate(problems):
-        path = SEARCHES["astar"](problem.rows(), problem.start, problem.goal, movement).path
+        path = problem.solved("astar", movement).path
         expected = np.zeros(shape)
         near = np.zeros(shape, np.bool_)
         if path:
             distances = scipy_distances(
-                problem.grid, [problem.start, problem.goal, *path], movement
+                problem.grid, [problem.start, problem.goal, *path], movement, problem.terrain
             )
             through = distances[0] + distances[1] + distances[2:].min(axis=0)
             best = distances[1][problem.start]
@@ -278,18 +329,28 @@ def test_max_length() -> None:
 # --- of the rooms -------------------------------------------------------------------------------
 
 
-@planners
 @movements
-def test_room_matrices_equal_the_reference(movement: Movement, search: str) -> None:
+@pytest.mark.parametrize(
+    ("search", "generator"),
+    [(search, generator) for generator in (samples.SPEC, samples.ROUGH) for search in SEARCHES],
+    ids=["bfs-uniform", "astar-uniform", "bfs-terrain", "astar-terrain"],
+)
+def test_room_matrices_equal_the_reference(
+    generator: MapGenerator, movement: Movement, search: str
+) -> None:
     """Searched on the fly: every entry, -1 no connection, -2 padding."""
-    maps = generate(samples.SPEC, 2, range(12))
-    stack = MapStack(maps.occupancy, None)
+    maps = generate(generator, 2, range(12))
+    stack = MapStack(maps.occupancy, maps.terrain)
     found = room_matrices(search, maps.index, stack, maps.seed_points, movement)
     for k in range(len(maps)):
         n = int(maps.rooms[k])
         seed_points = [(int(row), int(column)) for row, column in maps.seed_points[k, :n]]
         truth = reference.reference_matrix(
-            SEARCHES[search], maps.occupancy[k].tolist(), seed_points, movement
+            SEARCHES[search],
+            maps.occupancy[k].tolist(),
+            seed_points,
+            movement,
+            None if maps.terrain is None else maps.terrain[k].tolist(),
         )
         np.testing.assert_array_equal(found[k, :n, :n], truth.astype(np.float32))
         assert (found[k, n:] == -2).all()

@@ -30,10 +30,11 @@ from mapdata.formats import read_problems
 
 MOVEMENTS = [Movement(4), Movement(8), Movement(8, corner_cutting=True, diagonal_cost=1)]
 SHAPE = (14, 19)
+on_any_map = pytest.mark.parametrize("terrain", [False, True], ids=["uniform", "terrain"])
 
 
 @cache
-def problem_set(movement: Movement, count: int = 40) -> ProblemSet:
+def problem_set(movement: Movement, count: int = 40, *, terrain: bool = False) -> ProblemSet:
     """Return solvable problems on maps of scattered walls, whose ends scipy connects."""
     random = np.random.default_rng(count)
     grids: list[Bytes] = []
@@ -46,7 +47,14 @@ def problem_set(movement: Movement, count: int = 40) -> ProblemSet:
             grids.append(grid)
             starts.append(start)
             goals.append(goal)
-    return ProblemSet(np.stack(grids), np.array(starts), np.array(goals), movement)
+    costs = np.where(grids, 0, random.choice([2, 3, 8, 91], np.shape(grids))).astype(np.uint8)
+    return ProblemSet(
+        np.stack(grids),
+        np.array(starts),
+        np.array(goals),
+        movement,
+        terrain=costs if terrain else None,
+    )
 
 
 def shared_set(count: int, side: int = 64) -> ProblemSet:
@@ -62,11 +70,24 @@ def half(sample: Sample) -> torch.Tensor:
     return halved
 
 
+@on_any_map
 @pytest.mark.parametrize("movement", MOVEMENTS, ids=str)
-def test_samples_are_the_problems_of_the_set(movement: Movement) -> None:
+def test_samples_are_the_problems_of_the_set(movement: Movement, terrain: bool) -> None:
     """Sample i has map, start, goal, path, cost and expansions of problem i, in any order."""
-    problems = problem_set(movement)
-    fields = ("map", "start", "goal", "path", "length", "cost", "hardness", "iterations", "problem")
+    problems = problem_set(movement, terrain=terrain)
+    costs = 1 - problems.grids if problems.terrain is None else problems.terrain
+    fields = (
+        "map",
+        "terrain",
+        "start",
+        "goal",
+        "path",
+        "length",
+        "cost",
+        "hardness",
+        "iterations",
+        "problem",
+    )
     dataset = ProblemSetDataset(problems, fields)
     assert len(dataset) == len(problems) == 40
     optimal = problems.optimal
@@ -74,6 +95,7 @@ def test_samples_are_the_problems_of_the_set(movement: Movement) -> None:
         number = i % 40
         sample = dataset[i]
         assert np.array_equal(sample.map[0], problems.grids[i])
+        assert np.array_equal(sample.terrain[0], costs[i])
         assert np.array_equal(sample.start, problems.starts[i])
         assert np.array_equal(sample.goal, problems.goals[i])
         first, end = optimal.offsets[number : number + 2]
@@ -95,16 +117,18 @@ def test_samples_are_the_problems_of_the_set(movement: Movement) -> None:
             assert samples.cells_of(batch.path[row]) == samples.cells_of(path)
 
 
+@on_any_map
 @pytest.mark.parametrize("movement", MOVEMENTS, ids=str)
-def test_costs_are_those_of_scipy(movement: Movement) -> None:
+def test_costs_are_those_of_scipy(movement: Movement, terrain: bool) -> None:
     """The costs of the paths, of all cells to the goal, and between the two seed points."""
-    problems = problem_set(movement)
+    problems = problem_set(movement, terrain=terrain)
     fields = ("cost", "cost_to_go", "seed_points", "connection_matrix", "optimal_mask")
     batch = ProblemSetDataset(problems, fields)[:]
     for k in range(len(problems)):
         start = tuple(problems.starts[k].tolist())
         goal = tuple(problems.goals[k].tolist())
-        from_start, to_goal = scipy_distances(problems.grids[k], [start, goal], movement)
+        costs = None if problems.terrain is None else problems.terrain[k]
+        from_start, to_goal = scipy_distances(problems.grids[k], [start, goal], movement, costs)
         assert float(batch.cost[k]) == pytest.approx(to_goal[start], rel=1e-6)
         np.testing.assert_allclose(batch.cost_to_go[k, 0], to_goal, rtol=1e-6)
         on_shortest_path = abs(from_start + to_goal - to_goal[start]) < 1e-6
@@ -114,10 +138,11 @@ def test_costs_are_those_of_scipy(movement: Movement) -> None:
         np.testing.assert_allclose(batch.connection_matrix[k], expected, rtol=1e-6)
 
 
+@on_any_map
 @pytest.mark.parametrize("movement", MOVEMENTS, ids=str)
-def test_bfs_is_searched_on_the_fly(movement: Movement) -> None:
-    """Paths, moves and expansions are those of `search_batch`."""
-    problems = problem_set(movement)
+def test_bfs_is_searched_on_the_fly(movement: Movement, terrain: bool) -> None:
+    """Paths, moves and expansions are those of `search_batch`, whatever cells cost."""
+    problems = problem_set(movement, terrain=terrain)
     batch = ProblemSetDataset(problems, ("path", "iterations", "cost"), search="bfs")[:]
     solved = search_batch("bfs", problems.grids, problems.starts, problems.goals, movement)
     assert np.array_equal(batch.iterations, solved.iterations)

@@ -25,6 +25,7 @@ from torch.utils.data import DataLoader
 from mapdata import (
     MapDataModule,
     MapDataset,
+    MapGenerator,
     Movement,
     OnlineMapDataset,
     Pairs,
@@ -42,7 +43,11 @@ from mapdata.search import SearchResult
 
 Array = npt.NDArray[Any]
 
-SPECS = {"square": samples.SPEC, "wide": samples.WIDE}
+SPECS: dict[str, MapGenerator] = {
+    "square": samples.SPEC,
+    "wide": samples.WIDE,
+    "rough": samples.ROUGH,
+}
 
 INFLATED_FIELDS = tuple(name for name in samples.ALL_FIELDS if name not in ("waypoints", "image"))
 """The fields of the inflated map. Waypoints keep the radius from the map that is not inflated, and
@@ -55,7 +60,7 @@ RADII = ("0.05", "0.1", "0.15")
 MAPS = 40
 SEED = 5
 RESOLUTION = "0.1"
-"""Metres a cell of both specs."""
+"""Metres a cell of all specs."""
 
 SEARCHES = {"bfs": bfs, "astar": astar}
 PROBLEM = 1
@@ -88,6 +93,13 @@ def inflated(name: str, index: int, radius: str) -> Array:
     return np.where(too_near, 1, grid).astype(np.uint8)
 
 
+def inflated_terrain(name: str, index: int, radius: str) -> Array | None:
+    """Return the terrain of that map; None if it has none."""
+    terrain = generate(SPECS[name], SEED, [index]).terrain
+    return None if terrain is None else np.where(inflated(name, index, radius), 0, terrain[0])
+
+
+@cache
 def seed_points_of(name: str) -> list[list[Cell]]:
     """Return the seed points of each map, without padding."""
     maps = generate(SPECS[name], SEED, range(MAPS))
@@ -107,32 +119,42 @@ def ends_of(sample: Sample) -> tuple[Cell, Cell]:
     return samples.cell_of(sample.start), samples.cell_of(sample.goal)
 
 
-def costs_to(grid: Array, cell: Cell, movement: Movement) -> Array:
+def costs_to(grid: Array, cell: Cell, movement: Movement, terrain: Array | None = None) -> Array:
     """Return the cost from every cell to one, -1 where there is no way, or no room for the goal."""
     if grid[cell]:
         return np.full(grid.shape, -1, np.float32)
-    return distance_field(grid, cell, movement)
+    return distance_field(grid, cell, movement, terrain=terrain)
 
 
-def solved(grid: Array, start: Cell, goal: Cell, search: str, movement: Movement) -> SearchResult:
+def solved(
+    grid: Array,
+    start: Cell,
+    goal: Cell,
+    search: str,
+    movement: Movement,
+    terrain: Array | None = None,
+) -> SearchResult:
     """Return what a search finds; an end where the robot has no room is none for it."""
     if grid[start] or grid[goal]:
         return SearchResult(np.empty((0, 2), np.int64), -1.0, 0)
-    return SEARCHES[search](grid, start, goal, movement)
+    return SEARCHES[search](grid, start, goal, movement, terrain=terrain)
 
 
-def moves_to_goal(grid: Array, goal: Cell, movement: Movement) -> Array:
+def moves_to_goal(grid: Array, goal: Cell, movement: Movement, terrain: Array | None) -> Array:
     """Return, per cell, the bits of the moves that begin a shortest path."""
     if grid[goal]:
         return np.zeros(grid.shape, np.uint8)
-    return reference.reference_moves(grid.tolist(), goal, movement)
+    costs = None if terrain is None else terrain.tolist()
+    return reference.reference_moves(grid.tolist(), goal, movement, costs)
 
 
-def probabilities(path: Array, costs: Array, grid: Array, movement: Movement) -> Array:
+def probabilities(
+    path: Array, costs: Array, grid: Array, movement: Movement, terrain: Array | None
+) -> Array:
     """Return TransPath's map of a path: L / (d(start, n) + d(n, goal) + d(n, path))."""
     if len(path) == 0:
         return np.zeros(grid.shape)
-    fields = [costs_to(grid, tuple(cell), movement) for cell in path]
+    fields = [costs_to(grid, tuple(cell), movement, terrain) for cell in path]
     through = fields[0] + costs + np.min(fields, axis=0)
     ratio = np.where(through > 0, costs[tuple(path[0])] / np.maximum(through, 1e-9), 1.0)
     return np.where((costs >= 0) & (ratio >= 0.95), ratio, 0)
@@ -147,42 +169,50 @@ def mask_of(cells: Any, like: Array) -> Array:
 
 
 def connections(
-    points: list[Cell], grid: Array, search: str, movement: Movement, size: int
+    points: list[Cell],
+    grid: Array,
+    search: str,
+    movement: Movement,
+    size: int,
+    terrain: Array | None,
 ) -> Array:
     """Return the costs between all seed points, -1 without a path and -2 as padding."""
     matrix = np.full((size, size), -2.0)
     for i, one in enumerate(points):
         for j, other in enumerate(points):
-            matrix[i, j] = solved(grid, one, other, search, movement).cost
+            matrix[i, j] = solved(grid, one, other, search, movement, terrain).cost
         matrix[i, i] = 0
     return matrix
 
 
-def assert_true(sample: Sample, grid: Array, search: str, movement: Movement) -> None:
-    """Compare every field with what public functions find on ``grid``."""
+def assert_true(
+    sample: Sample, grid: Array, search: str, movement: Movement, terrain: Array | None = None
+) -> None:
+    """Compare every field with what public functions find on ``grid`` and its terrain."""
     start, goal = ends_of(sample)
     points = samples.cells_of(sample.seed_points)
-    found = solved(grid, start, goal, search, movement)
-    best_path, best, _ = solved(grid, start, goal, "astar", movement)
+    found = solved(grid, start, goal, search, movement, terrain)
+    best_path, best, _ = solved(grid, start, goal, "astar", movement, terrain)
     solvable = best >= 0
-    costs = costs_to(grid, goal, movement)
-    around_start = costs_to(grid, start, movement)
-    on_empty = distance_field(np.zeros_like(grid), goal, movement)
+    costs = costs_to(grid, goal, movement, terrain)
+    around_start = costs_to(grid, start, movement, terrain)
+    min_cost = 1 if terrain is None else terrain[terrain > 0].min(initial=255)
+    on_empty = min_cost * distance_field(np.zeros_like(grid), goal, movement)
     on_best = (costs >= 0) & np.isclose(around_start + costs, best)
     ratio = np.where(costs > 0, on_empty / np.maximum(costs, 1), costs == 0)
     size = len(sample.connection_matrix)
     layers = {
         "map": grid,
         "free": 1 - grid,
-        "terrain": 1 - grid,
+        "terrain": 1 - grid if terrain is None else terrain,
         "path_mask": mask_of(found.path, grid),
         "start_mask": mask_of([start], grid),
         "goal_mask": mask_of([goal], grid),
         "optimal_mask": on_best & solvable,
         "cost_to_go": costs,
-        "optimal_moves": moves_to_goal(grid, goal, movement),
+        "optimal_moves": moves_to_goal(grid, goal, movement, terrain),
         "heuristic_ratio": ratio,
-        "path_probability": probabilities(best_path, costs, grid, movement),
+        "path_probability": probabilities(best_path, costs, grid, movement, terrain),
         "clearance": clearance(grid),
     }
     picture = np.repeat(255 * (1 - grid[None].astype(int)), 3, axis=0)
@@ -194,7 +224,7 @@ def assert_true(sample: Sample, grid: Array, search: str, movement: Movement) ->
         "cost": found.cost,
         "hardness": best / on_empty[start] if solvable else -1,
         "iterations": found.iterations,
-        "connection_matrix": connections(points, grid, search, movement, size),
+        "connection_matrix": connections(points, grid, search, movement, size, terrain),
     }
     assert samples.cells_of(sample.path) == [tuple(cell) for cell in found.path.tolist()]
     expected = {name: layer[None] for name, layer in layers.items()} | numbers
@@ -211,11 +241,12 @@ CASES: list[tuple[str, str, str, Movement | None]] = [
     *(("square", radius, "astar", None) for radius in RADII),
     *(("wide", "0.1", search, None) for search in SEARCHES),
     *(("square", "0.1", "bfs", movement) for movement in MOVEMENTS),
+    *(("rough", "0.1", search, None) for search in SEARCHES),
 ]
 """Maps, radius, search and movement, for each way of being solved anew."""
 
-QUICK_CASES = (CASES[1], CASES[3], CASES[-1])
-"""One of each kind: another radius, another search and another movement."""
+QUICK_CASES = (CASES[3], CASES[-3], CASES[-1])
+"""One of each kind: another search, another movement, and terrain."""
 
 
 @pytest.mark.parametrize("problems", [Route, Pairs])
@@ -260,8 +291,10 @@ def test_stored_problems_are_solved_anew(
     for k in range(0, len(every), len(every) // some(24)):
         for attribute in ("start", "goal", "seed_points"):
             assert getattr(every[k], attribute).equal(getattr(plain[k], attribute))
-        grid = inflated(name, number_of(plain[k], name), radius)
-        assert_true(every[k], grid, search, every.movement)
+        number = number_of(plain[k], name)
+        grid = inflated(name, number, radius)
+        terrain = inflated_terrain(name, number, radius)
+        assert_true(every[k], grid, search, every.movement, terrain)
 
 
 @pytest.mark.parametrize("movement", [slow(Movement()), Movement(8)], ids=["4", "8"])

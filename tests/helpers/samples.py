@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from mapdata import MapSpec, Movement, Sample, build
+from mapdata import MapGenerator, MapSpec, Movement, Sample, Terrain, build
 from mapdata.datasets import FIELDS
 
 PADDING = -1
@@ -36,12 +36,23 @@ WIDE = MapSpec(
 )
 """More columns than a machine word, stored with diagonals."""
 
+ROUGH = Terrain(costs=(2, 3, 8, 91), scale=3, over=SPEC)
+"""The same maps as those of `SPEC`, with costs."""
+
 ALL_FIELDS: tuple[str, ...] = tuple(FIELDS)
 """The names of all fields."""
 
+TERRAIN_FIELDS = tuple(name for name in ALL_FIELDS if name != "waypoints")
+"""The names of all fields that maps with terrain have: these have no taut lines."""
+
 
 def build_small(
-    root: Path, generator: MapSpec = SPEC, *, maps: int = 60, seed: int = 5, shard_size: int = 16
+    root: Path,
+    generator: MapGenerator = SPEC,
+    *,
+    maps: int = 60,
+    seed: int = 5,
+    shard_size: int = 16,
 ) -> str:
     """Build a dataset of several shards and return its root."""
     build(root, generator, maps=maps, seed=seed, shard_size=shard_size, workers=1)
