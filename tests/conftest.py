@@ -8,7 +8,9 @@ import gc
 import os
 import sys
 from collections.abc import Generator
+from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from _pytest.doctest import DoctestModule
@@ -16,6 +18,11 @@ from helpers.cpu_times import CpuTimes
 from helpers.examples import ARE_ALL, FEWEST, Some, some
 from helpers.selection import mark_further_combinations
 from hypothesis import HealthCheck, settings
+
+if TYPE_CHECKING:
+    from helpers.builds import Built
+
+    from mapdata import MapGenerator
 
 # Read when torch and BLAS are first imported: many threads on few cores make tiny networks a
 # hundred times slower.
@@ -91,6 +98,22 @@ def tries_examples(item: pytest.Item) -> bool:
     """Return whether a test tries more examples in `.ci/run` than by default."""
     is_property = getattr(getattr(item, "obj", None), "is_hypothesis_test", False)
     return is_property or "some" in getattr(item, "fixturenames", ())
+
+
+@pytest.fixture(scope="session")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Built:
+    """Give the function that builds a dataset, once a run; tests that change it take a copy."""
+    from mapdata import build
+
+    @cache
+    def built_once(
+        generator: MapGenerator | str, *, maps: int, seed: int = 0, shard_size: int = 1000
+    ) -> Path:
+        root = tmp_path_factory.mktemp("built") / "maps"
+        build(root, generator, maps=maps, seed=seed, shard_size=shard_size, workers=1)
+        return root
+
+    return built_once
 
 
 @pytest.fixture(scope="session", name="some")

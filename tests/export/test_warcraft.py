@@ -12,7 +12,6 @@ import pytest
 from helpers.weighted import shortest_path
 
 from mapdata import (
-    MapDataset,
     Maze,
     Movement,
     OnlineMapDataset,
@@ -21,7 +20,7 @@ from mapdata import (
 )
 from mapdata.export import PROBLEM_FORMATS, export_problems
 from mapdata.export.layouts import LAYOUTS
-from mapdata.formats import export, import_maps, read_any
+from mapdata.formats import export
 from mapdata.formats.registry import functions_by_format
 
 MOVEMENT = Movement(8, corner_cutting=True, diagonal_cost=1.0)
@@ -91,33 +90,6 @@ def test_paths_are_shortest_by_the_rule_of_the_set(folder: Path) -> None:
             vertex_sum, _ = shortest_path(costs, (0, 0), (5, 6))
             assert costs[path == 1].sum() == vertex_sum
             assert path[0, 0] == path[5, 6] == 1
-
-
-def test_an_export_is_imported_as_it_was(folder: Path, tmp_path: Path) -> None:
-    """Terrain, splits, problems and least costs come back."""
-    build(tmp_path / "built", CORNERS, maps=20, seed=3, workers=1)
-    export_problems(str(tmp_path / "built"), tmp_path / "files", format="warcraft")
-    [imported] = import_maps(tmp_path / "back", read_any(tmp_path / "files"))
-    assert (imported.checked, imported.disagreements) == (20, {})
-    for split in ("train", "val", "test"):
-        before = MapDataset(str(tmp_path / "built"), split, ("terrain", "start", "goal", "cost"))
-        after = MapDataset(str(tmp_path / "back"), split, ("terrain", "start", "goal", "cost"))
-        assert len(before) == len(after)
-        for sample, sample_again in zip(before, after, strict=True):
-            for name in sample._fields:
-                np.testing.assert_array_equal(getattr(sample, name), getattr(sample_again, name))
-
-
-def test_an_import_is_exported_as_it_was(folder: Path, tmp_path: Path) -> None:
-    """Weights come back in the order of the maps; equal exports have equal bytes."""
-    import_maps(tmp_path / "data", read_any(folder))
-    export_problems(str(tmp_path / "data"), tmp_path / "again", format="warcraft")
-    for split in ("train", "val", "test"):
-        np.testing.assert_array_equal(
-            loaded(folder, split)[1], loaded(tmp_path / "again", split)[1]
-        )
-    export_problems(CORNERS, tmp_path / "twin", format="warcraft", count=8)
-    assert (tmp_path / "twin/export.json").read_text() == (folder / "export.json").read_text()
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from helpers.builds import Built
 
-from mapdata import MapSpec, build
+from mapdata import MapSpec
 
 SPEC = MapSpec(
     (20, 70),
@@ -21,16 +22,12 @@ SPEC = MapSpec(
 
 
 @pytest.fixture(scope="session")
-def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def root(built: Built) -> Path:
     """24 maps of 20 x 70 cells in two shards, some segments without a path."""
-    folder = tmp_path_factory.mktemp("formats") / "maps"
-    build(folder, SPEC, maps=24, seed=5, shard_size=16)
-    return folder
+    return built(SPEC, maps=24, seed=5, shard_size=16)
 
 
 @pytest.fixture(scope="session")
-def square(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def square(built: Built) -> Path:
     """24 maps of 20 x 20 cells in two shards, for formats of square maps."""
-    folder = tmp_path_factory.mktemp("formats") / "square"
-    build(folder, replace(SPEC, map_size=(20, 20)), maps=24, seed=5, shard_size=16)
-    return folder
+    return built(replace(SPEC, map_size=(20, 20)), maps=24, seed=5, shard_size=16)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.wild import cli
 
 from mapdata import (
     MapDataset,
@@ -18,7 +17,6 @@ from mapdata import (
 )
 from mapdata.export import export_problems
 from mapdata.formats import Limits, import_maps, is_shortest_answer, read_any
-from mapdata.formats.registry import recognise
 
 CHARSET = "# SGo"
 
@@ -65,21 +63,6 @@ def test_the_converter_of_hrm_reads_what_we_write(root: Path, tmp_path: Path) ->
             assert is_shortest_answer(*texts) or sample.cost == 1
 
 
-def test_round_trip(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each line becomes a map in its split with its start and goal as seed points, and every answer
-    is confirmed.
-    """
-    out = tmp_path / "out"
-    assert cli(capsys, "export", root, out, "--format", "maze-hard", "--problems", "route")[0] == 0
-    assert recognise(out) == "maze-hard"
-    code, _, _ = cli(capsys, "import", out, tmp_path / "back")
-    assert code == 0
-    for split in ("train", "val", "test"):
-        there, back = MapDataset(root, split)[:], MapDataset(tmp_path / "back", split)[:]
-        for name in ("map", "start", "goal"):
-            np.testing.assert_array_equal(getattr(there, name), getattr(back, name))
-
-
 def test_wrong_answers_are_counted(root: Path, tmp_path: Path) -> None:
     """The import compares each answer with all shortest paths."""
     export_problems(root, tmp_path / "out", format="maze-hard", problems="route")
@@ -90,27 +73,6 @@ def test_wrong_answers_are_counted(root: Path, tmp_path: Path) -> None:
     (imported,) = import_maps(tmp_path / "back", read_any(tmp_path / "test.csv"))
     assert imported.checked == len(lines) - 1
     assert sum(imported.disagreements.values()) == 1
-
-
-@pytest.mark.parametrize(
-    ("line", "why"),
-    [
-        ("x,S G,S G,2", "question: got 3 cells in one line, expected a square map"),
-        ("x,S  S,S  S,2", "one S and one G"),
-        ("x,S  X,S  X,2", "expected the maze alone"),
-        ("x,,,", "one S and one G"),
-        ("x,SG", "expected source,question"),
-    ],
-)
-def test_lines_that_are_no_maze_are_left_out(tmp_path: Path, line: str, why: str) -> None:
-    """They are left out by line with a reason, and the other lines are read."""
-    path = tmp_path / "train.csv"
-    path.write_text(f"source,question,answer,rating\n{line}\nx,S  G,So G,2\n")
-    collection = read_any(path)
-    assert [each.split for each in collection.maps] == [0]
-    ((name, reason),) = collection.left_out
-    assert name.endswith("train.csv, line 2")
-    assert why in reason
 
 
 def test_files_that_cannot_be_read_are_left_out(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.foreign_files import SOURCES
 from helpers.wild import cli
 from PIL import Image
 
@@ -145,12 +146,15 @@ def test_exports_that_are_refused(
     assert len(list((tmp_path / "empty").rglob("*.yaml"))) == 24
 
 
-def test_exports_are_recognised_by_their_format(square: Path, tmp_path: Path) -> None:
-    """A format that is written and read is recognised; a missing or meaningless file is refused."""
-    for format_name in sorted(set(functions_by_format("write")) & set(functions_by_format("read"))):
-        target = tmp_path / ("out.npz" if format_name == "planning-datasets" else format_name)
-        export(square, target, format_name)
-        assert recognise(target) == format_name
+@pytest.mark.parametrize("kind", SOURCES)
+def test_a_source_is_recognised_by_its_files(kind: str, tmp_path: Path) -> None:
+    """By the file that a user names, and by its folder."""
+    named = SOURCES[kind].write(tmp_path)
+    assert recognise(named) == recognise(tmp_path) == SOURCES[kind].format
+
+
+def test_what_no_format_recognises_is_refused(tmp_path: Path) -> None:
+    """So are a file that is missing, and options of another format."""
     np.save(tmp_path / "stack.npy", np.zeros((2, 3, 4)))
     assert recognise(tmp_path / "stack.npy") == "images"
     (tmp_path / "text").mkdir()
@@ -161,6 +165,8 @@ def test_exports_are_recognised_by_their_format(square: Path, tmp_path: Path) ->
     ):
         with pytest.raises(FormatError, match=message):
             recognise(source)
+    np.savez(tmp_path / "tiles.npz", maps=1, costs=1, targets=1, sources=1)  # without paths
+    assert recognise(tmp_path / "tiles.npz") != "tilebased"
     with pytest.raises(FormatError, match="text: holds no map of format ros"):
         read_any(tmp_path / "text", "ros")
     with pytest.raises(ValueError, match="format: got 'zarr'"):

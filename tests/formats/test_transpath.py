@@ -12,7 +12,7 @@ from helpers.wild import cli
 
 from mapdata import ProblemSetDataset, read_shard
 from mapdata.arrays import Array, Bytes
-from mapdata.formats import FormatError, Limits, read_any, read_problems
+from mapdata.formats import FormatError, read_any, read_problems
 from mapdata.formats.registry import recognise
 from mapdata.formats.transpath import read
 from mapdata.limits import SPLITS
@@ -135,42 +135,6 @@ def test_samples_with_bad_ends_are_left_out(tmp_path: Path) -> None:
             "its start or its goal is not one free cell",
         )
     ]
-
-
-@pytest.mark.parametrize(
-    ("name", "array", "message"),
-    [
-        ("goals", np.zeros((2, 1, 5, 5)), r"goals\.npy: has shape \(2, 1, 5, 5\), expected \(3, 1"),
-        ("maps", np.zeros((3, 5, 5)), r"maps\.npy: has shape \(3, 5, 5\), expected \(N, 1, H, W\)"),
-        ("maps", np.full((3, 1, 5, 5), 0.5), r"maps\.npy: map 0: holds values between 0 and 1"),
-        ("starts", np.array([{}]), r"starts\.npy: holds pickled objects"),
-    ],
-)
-def test_arrays_of_different_shapes_are_refused(
-    name: str, array: Array, message: str, tmp_path: Path
-) -> None:
-    """The message names the file and its shape, and no map is read."""
-    folder = tmp_path / "train"
-    write_samples(
-        folder, np.zeros((3, 5, 5), np.uint8), np.zeros((3, 2), int), np.ones((3, 2), int)
-    )
-    np.save(folder / f"{name}.npy", array)
-    with pytest.raises(FormatError, match=message):
-        read(folder / "maps.npy")
-    collection = read(tmp_path)
-    assert (collection.maps, len(collection.left_out)) == ([], 1)
-
-
-def test_limits_of_cells_and_maps_hold(
-    samples: dict[str, tuple[Bytes, Array, Array]], tmp_path: Path
-) -> None:
-    """They are the cells of a map and the number of maps in a file."""
-    del samples
-    path = tmp_path / "TransPath_data" / "train" / "maps.npy"
-    with pytest.raises(FormatError, match="has 12 x 12 pixels, expected at most 100 in all"):
-        read(path, Limits(pixels=100))
-    with pytest.raises(FormatError, match="has 7 maps, expected at most 6"):
-        read(path, Limits(maps=6))
 
 
 MOVEMENT = Movement(8, corner_cutting=True)

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.weighted import Ints, draw_costs, shortest_path, write_warcraft
-from helpers.wild import Bytes, cli, npy
+from helpers.wild import Bytes, cli
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mapdata import MapDataset, Movement, read_shard
 from mapdata.cli import load_problems
-from mapdata.formats import FormatError, Limits, import_maps, read_any, read_problems
+from mapdata.formats import FormatError, import_maps, read_any, read_problems
 from mapdata.formats.registry import recognise
 from mapdata.formats.weights import to_terrain
 from mapdata.shards import read_manifest, verify
@@ -177,80 +177,6 @@ def test_copies_across_splits_are_counted_by_their_costs(
     _, out, _ = cli(capsys, "import", folder, tmp_path / "copies", "--drop-leaks")
     assert "0 of test in train (1 up to symmetry)" in out
     assert read_manifest(tmp_path / "copies").maps == 8
-
-
-def fault(folder: Path, name: str) -> None:
-    """Change a file of the training split in one way."""
-    path = folder / "train_vertex_weights.npy"
-    if name in ("_maps", "_shortest_paths", "_vertex_weights"):
-        (folder / f"train{name}.npy").unlink()
-    elif name == "pictures of another size":
-        np.save(folder / "train_maps.npy", np.zeros((4, 10, 11, 3), np.uint8))
-    elif name == "grey pictures":
-        np.save(folder / "train_maps.npy", np.zeros((4, 10, 12), np.uint8))
-    elif name == "fewer paths":
-        np.save(folder / "train_shortest_paths.npy", np.zeros((3, 5, 6), np.uint8))
-    elif name == "path of 2":
-        np.save(folder / "train_shortest_paths.npy", np.full((4, 5, 6), 2, np.uint8))
-    elif name == "flat weights":
-        np.save(path, np.full((4, 30), 0.8))
-    elif name == "no maps":
-        np.save(path, np.zeros((0, 5, 6)))
-    elif name == "huge":
-        path.write_bytes(npy((2**40, 5, 6), b"", "<f8"))
-    elif name == "wide":
-        path.write_bytes(npy((4, 2**20, 2**20), b"", "<f8"))
-    elif name == "cut off":
-        path.write_bytes(path.read_bytes()[:-3])
-    elif name == "pickled":
-        np.save(path, np.array([[["a"]]], object))
-    else:
-        raise AssertionError(name)
-
-
-FAULTS = {
-    "_vertex_weights": "train_vertex_weights.npy: no such file",
-    "_maps": "train_maps.npy: no such file",
-    "_shortest_paths": "train_shortest_paths.npy: no such file",
-    "pictures of another size": "has shape (4, 10, 11, 3), expected (4, k 5, k 6, 3)",
-    "grey pictures": "has shape (4, 10, 12), expected (4, k 5, k 6, 3)",
-    "fewer paths": "has shape (3, 5, 6), expected (4, 5, 6) as train_vertex_weights.npy",
-    "path of 2": "train_shortest_paths.npy: map 0: holds 2 to 2, expected only 0 and 1",
-    "flat weights": "has shape (4, 30), expected (N, H, W)",
-    "no maps": "has shape (0, 5, 6), expected (N, H, W), none of them 0",
-    "huge": "has 128 bytes, expected 128 for its header and those of",
-    "wide": "has 128 bytes, expected 128 for its header and those of",
-    "cut off": "expected 128 for its header and those of",
-    "pickled": "holds pickled objects, expected numbers",
-}
-
-
-@pytest.mark.parametrize("name", FAULTS)
-def test_a_split_with_a_fault_is_left_out_in_one_line(
-    name: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The other splits are imported; the file by itself is refused."""
-    fault(folder, name)
-    code, out, err = cli(capsys, "import", folder, tmp_path / "data", "--format", "warcraft")
-    assert code == 0
-    assert "splits:               train 0, val 2, test 3" in out
-    lines = [line for line in err.splitlines() if line.startswith("left out")]
-    assert len(lines) == 1
-    assert FAULTS[name] in lines[0]
-    source = folder / "train_vertex_weights.npy"
-    code, _, err = cli(capsys, "import", source, tmp_path / "one", "--format", "warcraft")
-    assert code == 2
-    assert FAULTS[name] in err.strip().splitlines()[-1]
-    assert not (tmp_path / "one").exists()
-
-
-def test_limits_hold_before_weights_are_read(folder: Path) -> None:
-    """Those of the cells of a map, and of the maps of a file."""
-    source = folder / "train_vertex_weights.npy"
-    with pytest.raises(FormatError, match="has 5 x 6 cells, expected at most 29 in all"):
-        read_any(source, "warcraft", Limits(pixels=29))
-    with pytest.raises(FormatError, match="has 4 maps, expected at most 3"):
-        read_any(source, "warcraft", Limits(maps=3))
 
 
 def test_a_file_of_another_name_is_refused(folder: Path) -> None:

@@ -11,11 +11,11 @@ from concurrent.futures import Executor, Future
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import pytest
 
-from mapdata import MapSpec, Movement, build
+from mapdata import MapGenerator, MapSpec, Movement, build
 from mapdata.hashing import canonical_json
 from mapdata.shards import MANIFEST, Manifest, read_manifest
 
@@ -36,6 +36,20 @@ SOUND_SPEC = MapSpec(
 )
 SOUND_SEED = 3
 """Three maps of these are the sound dataset that helpers/hostile.py spoils."""
+
+
+class Built(Protocol):
+    """The type of the fixture `built`."""
+
+    def __call__(
+        self,
+        generator: MapGenerator | str,
+        *,
+        maps: int,
+        seed: int = 0,
+        shard_size: int = 1000,
+    ) -> Path:
+        """Return the folder of this dataset, which tests leave as it is."""
 
 
 def make(

@@ -24,10 +24,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias
 
+from helpers.foreign_files import SOURCES, Source
 from helpers.samples import ALL_FIELDS
 from helpers.specs import Noted
 from mapdata import MapDataset, MapSpec, ShardError, Terrain, Waypoints, build
-from mapdata.formats import FormatError, Limits, export, read_any
+from mapdata.formats import FormatError, Limits, read_any
 from mapdata.formats.movingai import check_scen
 from mapdata.generators import register
 from mapdata.movement import Movement
@@ -184,33 +185,19 @@ def _shard_case(root: Path) -> Case:
 LIMITS = Limits(pixels=2**16, unpacked=2**22)
 
 
-def format_cases(folder: Path) -> Iterator[tuple[str, Case]]:
-    """Yield the cases of each foreign format, from what mapdata exports."""
-    root = folder / "maps"
-    build(root, SPEC, maps=6, seed=2)
-    for kind in ("movingai", "planning-datasets"):
-        target = folder / ("maps.npz" if kind == "planning-datasets" else kind)
-        export(root, target, kind)
-        yield kind, _format_case(target, kind)
-    for image in ("pgm", "png", "bmp"):
-        export(root, folder / image, "ros", image=image)
-        yield f"ros, {image}", _format_case(folder / image, "ros")
-        yield f"images, {image}", _format_case(folder / image, "images")
+def format_cases(_: Path) -> Iterator[tuple[str, Case]]:
+    """Yield the cases of each kind of foreign files."""
+    for kind, source in SOURCES.items():
+        yield f"{source.format}, {kind}", _format_case(source)
 
 
-def _format_case(source: Path, kind: str) -> Case:
-    paths = [source]
-    if source.is_dir():
-        paths = sorted(path for path in source.rglob("*") if path.is_file())
-    files = {str(path.relative_to(source.parent)): path.read_bytes() for path in paths}
-
+def _format_case(source: Source) -> Case:
     def case(draw: random.Random, folder: Path) -> str:
-        chosen = draw.choice(sorted(files))
-        for name, data in files.items():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / name).write_bytes(changed(draw, data) if name == chosen else data)
+        chosen = draw.choice(sorted(source.files))
+        spoiled = {**source.files, chosen: changed(draw, source.files[chosen])}
+        source._replace(files=spoiled).write(folder)
         try:
-            found = read_any(folder / source.name, kind, LIMITS)
+            found = read_any(folder, source.format, LIMITS)
             for scen in folder.rglob("*.scen"):
                 check_scen(scen, limits=LIMITS)
         except FormatError as error:
