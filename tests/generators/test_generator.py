@@ -16,7 +16,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from helpers.families import forget, write_module
+from helpers.builds import Built
+from helpers.examples import slow
+from helpers.families import KNOWN, SMALL, UNIFORM, forget, write_module
 from helpers.samples import ALL_FIELDS, assert_same
 
 from mapdata import (
@@ -28,11 +30,9 @@ from mapdata import (
     Maps,
     MapSpec,
     Maze,
-    Mixture,
     Movement,
     OnlineMapDataset,
     ProblemSet,
-    RandomWalls,
     build,
     generate,
     identity,
@@ -374,7 +374,7 @@ def test_a_broken_package_is_named_on_one_line(
     installed(line)
     stored = {**Stripes().to_dict(), "generator": "pillars"}
     assert isinstance(stored_generator(json.dumps(stored)), UnknownFamily)
-    what = f"the entry point '{line}' of the package halls {why}; known are rooms, maze, cave"
+    what = f"the entry point '{line}' of the package halls {why}; known are {KNOWN}"
     with pytest.raises(ValueError, match=f"^generator: .*'pillars' is not known here; {what}"):
         MapGenerator.from_dict(stored)
 
@@ -526,8 +526,8 @@ def test_presets_of_one_family_and_of_all() -> None:
         (
             {"generator": "mazes"},
             r"^generator: the family 'mazes' is not known here; import its module \(--import "
-            r"MODULE in a command, import MODULE in Python\); known are rooms, maze, cave, forest, "
-            r"random_walls, terrain, mixture; did you mean maze\?$",
+            rf"MODULE in a command, import MODULE in Python\); known are {KNOWN}; did you mean "
+            r"maze\?$",
         ),
         (
             {"family": "pillars", "pillars": 40},
@@ -569,64 +569,57 @@ def test_a_spec_is_read_from_any_mapping() -> None:
     )
 
 
-SEEDED = {"seed_points": 4, "splits": (0.5, 0.25, 0.25)}
-GOLDEN: dict[MapGenerator, tuple[str, str]] = {
-    Cave((20, 31), occupied=0.4, steps=3, **SEEDED): (  # type: ignore[arg-type]
-        "e7178de2e750b7b8e2c1eb57064c4b44af39a3890b5baec39a98ed323d7c78fe",
-        "2d9bae2ece32e41fa6c3a5cafe553ea568c95a23674591211e44a2f664af45eb",
-    ),
-    Forest((20, 31), cover=(0.2, 0.3), sizes=(1, 5), **SEEDED): (  # type: ignore[arg-type]
-        "b4fb9fa8796a90215e12fc74fbfa27557b07f64ea6ac78609df6a29b6f06855a",
-        "daee8d0cfa88cb54f409f48d51deb336d2d69edaf7276821b5a3bb0a63011043",
-    ),
-    RandomWalls((20, 31), occupied=(0.2, 0.4), **SEEDED): (  # type: ignore[arg-type]
-        "c5e9e7e0b9c77b59e43858f9017232af34194367423897c82d1376ff79b2f0b8",
-        "3b154d25635e4d4666b8081c1313c59ab645dd65aea079ade48fae4eadd24a00",
-    ),
-}
-GOLDEN[Mixture(parts=tuple(GOLDEN), shares=(0.5, 0.3, 0.2))] = (
-    "e7abd6fbb429545897ab92d550132c443604a0ee267be31e4985542c23101b92",
-    "72e46b682d6fbe56a158fe5a6a95b4e57a11bef718439a52b0de40b36c9b07dd",
-)
-"""Identity and content hash of maps 0 .. 29 with seed 7."""
+# --- a dataset like any other -------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("generator", GOLDEN, ids=lambda generator: generator.name)
-def test_golden_hashes_are_those_of_the_page(generator: MapGenerator, tmp_path: Path) -> None:
-    """A dataset of a family has the same identity and content everywhere."""
-    manifest = build(tmp_path / "maps", generator, maps=30, seed=7, shard_size=12)
-    page = (Path(__file__).parents[2] / "docs" / "format.md").read_text(encoding="utf-8")
-    assert (manifest.identity, manifest.content_hash) == GOLDEN[generator]
-    assert all(f"`{value}`" in page for value in GOLDEN[generator])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("generator", GOLDEN, ids=lambda generator: generator.name)
-def test_a_family_is_a_dataset_like_any_other(
-    generator: MapGenerator, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Recipes, all fields, online maps, every verb."""
-    root = tmp_path / "maps"
-    manifest = build(root, generator, maps=30, seed=7, shard_size=12)
-    recipe = as_recipe(manifest.recipe())
+@pytest.mark.parametrize("name", [name if name == "maze" else slow(name) for name in UNIFORM])
+def test_every_field_of_a_family_is_served(name: str, built: Built) -> None:
+    """From shards, their recipe, and online alike; by the stored movement and another one."""
+    generator = SMALL[name]
+    root = built(generator, maps=30, seed=7, shard_size=12)
+    recipe = as_recipe(read_manifest(root).recipe())
     assert (recipe.generator, recipe.seed, recipe.maps) == (generator, 7, 30)
     for problems in ("route", "random"):
         batch = MapDataset(root, "train", ALL_FIELDS, problems=problems)[:]
-        assert batch.map.shape[1:] == (1, 20, 31)
-        assert (batch.cost > 0).all()
+        assert batch.map.shape[1:] == (1, *generator.map_size)
+        assert (batch.cost >= 0).all()
     fields = ("map", "start", "goal", "path")
+    moved = MapDataset(root, None, fields, movement=Movement(8))[:]
+    assert (moved.path[:, 0] == moved.start).all()
     stored = MapDataset(root, None, fields, problems="random")[:]
     assert_same(stored, OnlineMapDataset(generator, 7, 30, fields=fields, problems="random")[:])
+    np.testing.assert_array_equal(stored.map[:, 0], generate(generator, 7, range(30)).occupancy)
     assert len(ProblemSet.sample(generator, seed=3, maps=5, movement=Movement(8))) == 5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in UNIFORM if name != "rooms"])
+def test_every_verb_takes_a_family(
+    name: str, built: Built, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nobody speaks of rooms, passages or the algorithm that draws them."""
+    root = built(SMALL[name], maps=30, seed=7, shard_size=12)
     for line in (
         f"info {root}",
+        f"info {root} --card {tmp_path}/card.md",
         f"verify {root}",
-        f"show {root} --figure gallery -o {tmp_path}/gallery.png",
+        *(
+            f"show {root} --figure {figure} -o {tmp_path}/{figure}.png"
+            for figure in ("map", "gallery", "path", "matrix", "distributions")
+        ),
         f"report {root} -o {tmp_path}/report.html",
-        f"export {root} {tmp_path}/paper --format paper",
+        *(
+            f"export {root} {tmp_path}/{target} --format {target.partition('.')[0]}"
+            for target in ("paper", "movingai", "ros", "parquet", "planning-datasets.npz")
+        ),
     ):
         main(line.split())
-    assert "passages" not in capsys.readouterr().out
+    card = (tmp_path / "card.md").read_text(encoding="utf-8")
+    assert SMALL[name].description in card
+    for text in (capsys.readouterr().out, card):
+        assert "assages" not in text
+        assert "Algorithm 1" not in text
+    assert "seed points" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 def test_maps_without_room_for_seed_points() -> None:

@@ -4,39 +4,24 @@ verb and field.
 
 from __future__ import annotations
 
-import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from helpers.examples import examples
 from helpers.reference import reference_split
 from helpers.reference_families import reference_maze, reference_points
-from helpers.samples import ALL_FIELDS, assert_same
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
 from mapdata import (
-    MapDataset,
     Maze,
-    Movement,
-    OnlineMapDataset,
-    ProblemSet,
-    build,
     generate,
-    identity,
     label,
-    verify,
 )
-from mapdata.cli import main
-from mapdata.generators import Recipe, as_recipe
-from mapdata.shards import read_manifest
 
 SETTINGS = examples(150)
-SPEC = Maze(map_size=(20, 31), corridor=2, reopened=0.1, seed_points=4, splits=(0.5, 0.25, 0.25))
 
 
 @st.composite
@@ -131,103 +116,9 @@ def test_bad_values_are_refused(values: dict[str, object], why: str) -> None:
         Maze(**values)  # type: ignore[arg-type]
 
 
-# --- a dataset like any other -------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """30 mazes of 20 x 31 cells in three shards."""
-    folder = tmp_path_factory.mktemp("mazes") / "maps"
-    build(folder, SPEC, maps=30, seed=7, shard_size=12)
-    return folder
-
-
-def test_identity_and_content_are_golden(root: Path) -> None:
-    """Format version 2 of the same spec and seed is this, for ever."""
-    manifest = read_manifest(root)
-    assert manifest.format_version == 2
-    assert manifest.identity == identity(SPEC, 7)
-    assert (manifest.identity, manifest.content_hash) == GOLDEN
-    page = (Path(__file__).parents[2] / "docs" / "format.md").read_text(encoding="utf-8")
-    assert all(f"`{value}`" in page for value in GOLDEN)
-
-
-GOLDEN = (
-    "e06e38dffb7bffacf95ab651a64dc9d1f5d7a87e3229a9fbc82d8038f522089a",
-    "b672b9f72a36c3eaffde9fdc4910b9ce868b6e986d1cc04b7332354d7e006b14",
-)
-
-
-def test_recipes_say_the_generator(root: Path, tmp_path: Path) -> None:
-    """The few lines of JSON make the same maps; a preset's name is enough for one."""
-    text = read_manifest(root).recipe()
-    assert json.loads(text)["spec"]["generator"] == "maze"
-    recipe = as_recipe(text)
-    assert recipe.generator == SPEC
-    again = build(
-        tmp_path / "again", recipe.generator, maps=recipe.maps, seed=recipe.seed, shard_size=7
-    )
-    assert again.content_hash == recipe.content_hash
-    assert as_recipe('{"spec": "maze", "seed": 7}') == Recipe(Maze(), 7)
-
-
-def test_every_field_is_served(root: Path) -> None:
-    """From shards and online alike; problems, searches and movements too."""
-    for problems in ("route", "random"):
-        dataset = MapDataset(root, "train", ALL_FIELDS, problems=problems)
-        batch = dataset[:]
-        assert batch.map.shape[1:] == (1, 20, 31)
-        assert (batch.cost >= 0).all()
-    again = MapDataset(root, None, ("map", "start", "goal", "path"), movement=Movement(8))[:]
-    assert (again.path[:, 0] == again.start).all()
-    stored = MapDataset(root, None, ("map", "start", "goal", "problem"), problems="random")[:]
-    online = OnlineMapDataset(
-        SPEC, 7, 30, fields=("map", "start", "goal", "problem"), problems="random"
-    )[:]
-    assert_same(stored, online)
-    assert torch.equal(stored.map[:, 0], torch.from_numpy(generate(SPEC, 7, range(30)).occupancy))
-
-
 def test_labels_of_perfect_mazes_have_one_path() -> None:
     """Both searches find the only one."""
     labels = label(generate(Maze((21, 21)), 1, range(10)))
     assert labels.all_connected.all()
     np.testing.assert_array_equal(labels.bfs.moves, labels.astar.moves)
     np.testing.assert_array_equal(labels.bfs.costs, labels.astar.costs)
-
-
-def test_planners_are_compared_on_mazes() -> None:
-    """Problems are drawn on them as on any maps."""
-    assert len(ProblemSet.sample(Maze(reopened=0.1), seed=3, maps=5, movement=Movement(8))) == 5
-
-
-@pytest.mark.slow
-def test_every_verb_takes_mazes(
-    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Build, info, card, verify, show, report and exports; nobody speaks of rooms or passages."""
-
-    def run(*arguments: object) -> str:
-        main([str(argument) for argument in arguments])
-        return capsys.readouterr().out
-
-    assert "passages" not in run("info", root)
-    assert "passages" not in run("build", tmp_path / "preset", "--preset", "maze", "--maps", 3)
-    run("info", root, "--card", tmp_path / "card.md")
-    card = (tmp_path / "card.md").read_text()
-    assert "mazes made by a random depth-first search" in card
-    assert "assages" not in card
-    assert "Algorithm 1" not in card
-    run("verify", root)
-    for figure in ("map", "gallery", "path", "matrix", "distributions"):
-        run("show", root, "--figure", figure, "-o", tmp_path / f"{figure}.png")
-    run("report", root, "-o", tmp_path / "report.html")
-    assert "seed points" in (tmp_path / "report.html").read_text()
-    for kind in ("paper", "movingai", "ros", "parquet"):
-        run("export", root, tmp_path / kind, "--format", kind)
-    run("export", root, tmp_path / "mazes.npz", "--format", "planning-datasets")
-
-
-def test_damaged_shards_are_made_again(root: Path, tmp_path: Path) -> None:
-    """From the recipe, like those of Algorithm 1."""
-    assert verify(root) == []

@@ -12,13 +12,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from helpers.examples import examples, slow
+from helpers.families import UNIFORM
 from helpers.grids import squared_half_cells
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy import ndimage
 
-from mapdata import MapGenerator, clearance, generate, inflate, inflate_terrain, pull_taut
+from mapdata import clearance, generate, inflate, inflate_terrain, pull_taut
 from mapdata.search.footprint import min_squared_clearance
 
 Grid = npt.NDArray[np.uint8]
@@ -37,7 +38,7 @@ def test_clearance_equals_brute_force(grid: Grid) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["paper", slow("dungeon"), slow("maze"), "cave", slow("forest"), slow("noise")]
+    "name", [name if name in ("rooms", "cave") else slow(name) for name in UNIFORM]
 )
 def test_clearance_agrees_with_scipy(name: str) -> None:
     """With its exact distance transform between the corners of cells, nine times as many.
@@ -45,7 +46,7 @@ def test_clearance_agrees_with_scipy(name: str) -> None:
     Each cell becomes 3 x 3 of them. The nearest of an obstacle lies half a fine cell inside its
     edge, or a corner: at most 0.71 / 3 of a cell beyond the nearest point.
     """
-    for grid in generate(MapGenerator.preset(name), 5, range(20)).occupancy:
+    for grid in generate(UNIFORM[name], 5, range(20)).occupancy:
         walled = np.kron(np.pad(grid, 1, constant_values=1), np.ones((3, 3)))
         fine = ndimage.distance_transform_edt(walled == 0)[4:-4:3, 4:-4:3] / 3
         excess = fine - clearance(grid)

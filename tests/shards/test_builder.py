@@ -32,6 +32,9 @@ from helpers.builds import (
     unprivileged_folder,
 )
 from helpers.examples import slow
+from helpers.families import KNOWN as FAMILIES
+from helpers.families import SMALL
+from helpers.pages import DOCS
 
 from mapdata import (
     MapDataset,
@@ -39,6 +42,7 @@ from mapdata import (
     MapSpec,
     Maze,
     ShardError,
+    Terrain,
     __version__,
     build,
     generate,
@@ -88,7 +92,7 @@ def truth() -> str:
 
 # A change of one of these values is a change of the format: it needs a new format version, and a
 # note in the changelog.
-GOLDEN = [
+GOLDEN: list[tuple[MapGenerator, int, int, str, str]] = [
     (
         MapSpec(),
         0,
@@ -139,28 +143,91 @@ GOLDEN = [
         "0f29073675eb1478e6350633f3034adde5be63a343fddd34a5e8c2628cb33d48",
     ),
     (
-        MapSpec(
-            (20, 70),
-            (2, 5),
-            (2, 8),
-            (3, 12),
-            (1, 2),
-            skip_probability=0.5,
-            movement=Movement(8, corner_cutting=True, diagonal_cost=1),
-        ),
+        SMALL["rooms"],
         3,
         10,
         "cc06891657fae2945870b84c10c2c6c7ec9f000be60fd06653c16b4f3fb74642",
         "f2e0bb0b16b2cb126977da61e16322a827b42b7505814777480aaace54d5330a",
     ),
+    (
+        SMALL["maze"],
+        7,
+        30,
+        "e06e38dffb7bffacf95ab651a64dc9d1f5d7a87e3229a9fbc82d8038f522089a",
+        "b672b9f72a36c3eaffde9fdc4910b9ce868b6e986d1cc04b7332354d7e006b14",
+    ),
+    (
+        SMALL["cave"],
+        7,
+        30,
+        "e7178de2e750b7b8e2c1eb57064c4b44af39a3890b5baec39a98ed323d7c78fe",
+        "2d9bae2ece32e41fa6c3a5cafe553ea568c95a23674591211e44a2f664af45eb",
+    ),
+    (
+        SMALL["forest"],
+        7,
+        30,
+        "b4fb9fa8796a90215e12fc74fbfa27557b07f64ea6ac78609df6a29b6f06855a",
+        "daee8d0cfa88cb54f409f48d51deb336d2d69edaf7276821b5a3bb0a63011043",
+    ),
+    (
+        SMALL["random_walls"],
+        7,
+        30,
+        "c5e9e7e0b9c77b59e43858f9017232af34194367423897c82d1376ff79b2f0b8",
+        "3b154d25635e4d4666b8081c1313c59ab645dd65aea079ade48fae4eadd24a00",
+    ),
+    (
+        SMALL["terrain"],
+        7,
+        30,
+        "73fd110295b425c4377556562d8d34f2227a8b615ac48b99e3a8b14441dbc125",
+        "ae903a386fb05e0cf06cf042c71c3a2b28be7870bf54e6552d38018b086c2d51",
+    ),
+    (
+        MapGenerator.preset("tiles"),
+        7,
+        30,
+        "0ede4016f19c05aa98df10d3f075f4d85fd824064578eef8558667ff8a918faa",
+        "6d0db4f6e8cc4f9433987d0518e076e2f19f8edbc310ab8e705b63d352f8e11d",
+    ),
+    (
+        SMALL["mixture"],
+        7,
+        30,
+        "e7abd6fbb429545897ab92d550132c443604a0ee267be31e4985542c23101b92",
+        "72e46b682d6fbe56a158fe5a6a95b4e57a11bef718439a52b0de40b36c9b07dd",
+    ),
+    (
+        Terrain(costs=(1, 5, 200), over=SMALL["maze"]),
+        7,
+        30,
+        "2d19e77c47874c9560543e4185545e8ad3d1dcfebb8a6bcb7865f17e8b8f0eaf",
+        "74184bc23b6ef8e16bd7dac9746152e9f274fb00e0280418ca684172aaab588a",
+    ),
 ]
 
 
 @pytest.mark.parametrize(("generator", "seed", "maps", "name", "content"), GOLDEN)
-def test_golden_hashes(generator: MapSpec, seed: int, maps: int, name: str, content: str) -> None:
-    """The bytes of format version 1 are what they were, on every machine."""
+def test_golden_hashes(
+    generator: MapGenerator, seed: int, maps: int, name: str, content: str
+) -> None:
+    """The bytes are what they were, on every machine; docs/format.md states those of versions 2
+    and 3.
+    """
     assert identity(generator, seed) == name
     assert content_hash(label(generate(generator, seed, range(maps)))) == content
+    if generator.format_version > 1:
+        page = (DOCS / "format.md").read_text(encoding="utf-8")
+        assert f"`{name}`" in page
+        assert f"`{content}`" in page
+
+
+def test_every_family_has_golden_hashes() -> None:
+    """A new family gets a row above, and a generator in helpers/families.py."""
+    families = ["rooms", "maze", "cave", "forest", "random_walls", "terrain", "mixture"]
+    assert families == FAMILIES.split(", ") == list(SMALL)
+    assert families == list(dict.fromkeys(generator.name for generator, *_ in GOLDEN))
 
 
 @pytest.mark.parametrize("workers", [1, 2])

@@ -30,7 +30,6 @@ from mapdata import (
     MapDataset,
     MapGenerator,
     MapSpec,
-    Maze,
     Movement,
     ShardError,
     Terrain,
@@ -308,39 +307,6 @@ def test_roots_with_and_without_terrain_are_no_dataset(finished: Path, tmp_path:
     for roots in ([finished, plain], [plain, finished]):
         with pytest.raises(ValueError, match=message):
             Root.open(roots)
-
-
-GOLDEN: dict[str, tuple[MapGenerator, str, str]] = {
-    "terrain": (
-        Terrain((20, 31), seed_points=4, movement=Movement(8), splits=(0.5, 0.25, 0.25)),
-        "73fd110295b425c4377556562d8d34f2227a8b615ac48b99e3a8b14441dbc125",
-        "ae903a386fb05e0cf06cf042c71c3a2b28be7870bf54e6552d38018b086c2d51",
-    ),
-    "tiles": (
-        MapGenerator.preset("tiles"),
-        "0ede4016f19c05aa98df10d3f075f4d85fd824064578eef8558667ff8a918faa",
-        "6d0db4f6e8cc4f9433987d0518e076e2f19f8edbc310ab8e705b63d352f8e11d",
-    ),
-    "over a maze": (
-        Terrain(
-            costs=(1, 5, 200),
-            over=Maze((20, 31), corridor=2, reopened=0.1, seed_points=4, splits=(0.5, 0.25, 0.25)),
-        ),
-        "2d19e77c47874c9560543e4185545e8ad3d1dcfebb8a6bcb7865f17e8b8f0eaf",
-        "74184bc23b6ef8e16bd7dac9746152e9f274fb00e0280418ca684172aaab588a",
-    ),
-}
-"""Generator, identity and content hash of maps 0 .. 29 with seed 7. They must never change."""
-
-
-@pytest.mark.parametrize("name", GOLDEN)
-def test_identity_and_content_are_those_of_the_page(name: str) -> None:
-    """Golden hashes of version 3; tests/data has those of imported terrain."""
-    generator, stated_identity, stated_content = GOLDEN[name]
-    assert identity(generator, 7) == stated_identity
-    assert content_hash(label(generate(generator, 7, range(30)))) == stated_content
-    page = (Path(__file__).parents[2] / "docs" / "format.md").read_text(encoding="utf-8")
-    assert f"| `{stated_identity}` | `{stated_content}` |" in page
 
 
 # --- damage -------------------------------------------------------------------------------------
