@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Protocol
 
 import pytest
 
-from mapdata import MapGenerator, MapSpec, Movement, build
+from mapdata import MapGenerator, MapSpec, Movement, Terrain, build
 from mapdata.hashing import canonical_json
 from mapdata.shards import MANIFEST, Manifest, read_manifest
 
@@ -37,6 +37,9 @@ SOUND_SPEC = MapSpec(
 SOUND_SEED = 3
 """Three maps of these are the sound dataset that helpers/hostile.py spoils."""
 
+SOUND_TERRAIN = Terrain((20, 70), movement=Movement(8))
+"""Three maps of these are the sound dataset with terrain."""
+
 
 class Built(Protocol):
     """The type of the fixture `built`."""
@@ -57,12 +60,19 @@ def make(
     maps: int = MAPS,
     shard_size: int = SIZE,
     *,
+    generator: MapGenerator = SPEC,
     workers: int | None = 1,
     executor: Executor | None = None,
 ) -> Manifest:
     """Build the dataset of these tests."""
     return build(
-        root, SPEC, maps=maps, seed=SEED, shard_size=shard_size, workers=workers, executor=executor
+        root,
+        generator,
+        maps=maps,
+        seed=SEED,
+        shard_size=shard_size,
+        workers=workers,
+        executor=executor,
     )
 
 

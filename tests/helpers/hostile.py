@@ -4,7 +4,8 @@ Each check of the reader has a fault here, and as a rule only one. Nothing here 
 since a hostile file comes from elsewhere. The fault is in a dataset, in a root attribute, or in the
 bytes of the file. Each is a function, or a line, that is named after what is wrong; all of a kind
 are in one dict, by these names: `ELSEWHERE`, `DATASETS`, `ATTRIBUTES`, `BYTES`. The sound shard is
-8-connected and holds maps 0 to 3 of seed 3, of 20 x 70 cells.
+8-connected and holds maps 0 to 3 of seed 3, of 20 x 70 cells; that of the dataset ``terrain`` has
+terrain.
 """
 
 from __future__ import annotations
@@ -239,6 +240,7 @@ typed("big-endian", "seeds", "<i2", ">i2")
 typed("unsigned", "directions", "i1", "u1")
 typed("wide", "bfs_iterations", "<i4", "<i8")
 typed("opaque", "maps", "u1", h5py.opaque_dtype("V1"))
+typed("signed-terrain", "terrain", "u1", "i1")
 
 
 # --- datasets of other values -------------------------------------------------------------------
@@ -364,6 +366,25 @@ def seed_beyond(array: Array) -> Array:
     """A seed point far below the map."""
     array[0] = 32767
     return array
+
+
+@valued("terrain", "and 'seeds'")
+def no_free_cell(array: Array) -> Array:
+    """Terrain that is occupied everywhere, so that no seed point is free."""
+    return np.zeros_like(array)
+
+
+for fault_of_maps in (
+    "soft-link",
+    "group",
+    "chunked",
+    "huge",
+    "huge-gzip",
+    "flat",
+    "longer-maps",
+    "a-byte-less",
+):
+    DATASETS[f"{fault_of_maps}-terrain"] = DATASETS[fault_of_maps]._replace(dataset="terrain")
 
 
 # --- root attributes ----------------------------------------------------------------------------

@@ -15,10 +15,13 @@ from random import Random
 from typing import Any
 
 import h5py
+import numpy as np
 import pytest
 from helpers.builds import (
     MAPS,
     SIZE,
+    SOUND_TERRAIN,
+    SPEC,
     InTheCaller,
     listing,
     make,
@@ -51,11 +54,16 @@ def root(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished dataset; tests leave it as they found it."""
+def finished(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished dataset, of rooms unless the test asks for others; tests leave it as it is."""
     root = tmp_path_factory.mktemp("finished") / "maps"
-    make(root)
+    make(root, generator=getattr(request, "param", SPEC))
     return root
+
+
+with_terrain = pytest.mark.parametrize(
+    "finished", [SPEC, SOUND_TERRAIN], ids=["rooms", "terrain"], indirect=True
+)
 
 
 @pytest.fixture
@@ -73,6 +81,7 @@ def named(root: Path) -> Iterator[str]:
         yield Path(path).name
 
 
+@with_terrain
 def test_verify_finds_every_flipped_bit(some: Some, finished: Path) -> None:
     """One bit at many random places of every file: that file is named, and no other."""
     random = Random(3)
@@ -189,12 +198,19 @@ def test_a_pipe_is_not_waited_for(name: str, copied: Path) -> None:
     assert verify(copied) == []
 
 
-def test_verify_finds_other_labels(copied: Path) -> None:
+@pytest.mark.parametrize(
+    ("finished", "dataset"),
+    [(SPEC, "astar_iterations"), (SOUND_TERRAIN, "terrain")],
+    ids=["rooms", "terrain"],
+    indirect=["finished"],
+)
+def test_verify_finds_other_labels(dataset: str, copied: Path) -> None:
     """A shard whose file hashes are made to fit still has its content hash against it."""
     path = copied / shard_name(4, 8)
     image = bytearray(path.read_bytes())
     with h5py.File(path, "r") as file:
-        image[file["astar_iterations"].id.get_offset()] ^= 1
+        offset, values = file[dataset].id.get_offset(), file[dataset][()]
+    image[offset + int(np.flatnonzero(values > 1)[0]) * values.itemsize] ^= 1
     path.write_bytes(image)
     digest = hashlib.sha256(image).hexdigest()
     text = (copied / MANIFEST).read_text(encoding="utf-8")
@@ -400,6 +416,7 @@ def images(root: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in root.iterdir() if path.name != ".lock"}
 
 
+@with_terrain
 @pytest.mark.parametrize("seed", [*range(4), *map(slow, range(4, 12))])
 def test_repair_mends_whatever_happened(seed: int, finished: Path, copied: Path) -> None:
     """Files flipped, cut, deleted and swapped: each is named and repaired, no other is touched."""

@@ -22,11 +22,11 @@ import numpy.typing as npt
 import pytest
 import torch
 from helpers import hostile, run_helper, wild
-from helpers.builds import SOUND_SEED, SOUND_SPEC
+from helpers.builds import SOUND_SEED, SOUND_SPEC, SOUND_TERRAIN
 from safetensors.torch import load, save
 from torch import nn
 
-from mapdata import Movement, Terrain, build
+from mapdata import build
 from mapdata.limits import SPLITS
 from mapdata.models.pretrained.model import _digest, load_model
 from mapdata.models.pretrained.path_predictor import PathPredictor
@@ -51,28 +51,25 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def shard_cases(folder: Path, sound: Path) -> Iterator[Case]:
-    """Write every fault of tests/helpers/hostile.py, and those of terrain."""
+    """Write every fault of tests/helpers/hostile.py, and other versions."""
     shard = next(sound.glob("*.h5"))
     contents = hostile.read_contents(shard)
+    build(folder / "terrain", SOUND_TERRAIN, maps=3, seed=SOUND_SEED)
+    terrain_shard = next((folder / "terrain").glob("*.h5"))
+    terrain_contents = hostile.read_contents(terrain_shard)
     members = [(fault.dataset, fault.member) for fault in hostile.DATASETS.values()]
-    members += [("maps", member) for member in hostile.ELSEWHERE.values()]
+    for dataset in ("maps", "terrain"):
+        members += [(dataset, member) for member in hostile.ELSEWHERE.values()]
     for k, (name, member) in enumerate(members):
-        hostile.write(folder / f"data{k}.h5", contents, shard, {name: member})
+        of_terrain = name == "terrain"
+        hostile.write(
+            folder / f"data{k}.h5",
+            terrain_contents if of_terrain else contents,
+            terrain_shard if of_terrain else shard,
+            {name: member},
+        )
     for k, fault in enumerate(hostile.ATTRIBUTES.values()):
         hostile.write(folder / f"attribute{k}.h5", contents, shard, attributes=fault.values)
-    terrain_root = folder / "terrain"
-    build(terrain_root, Terrain((20, 70), movement=Movement(8)), maps=3, seed=SOUND_SEED)
-    terrain_shard = next(terrain_root.glob("*.h5"))
-    terrain_contents = hostile.read_contents(terrain_shard)
-    terrain_members = [
-        fault.member for fault in hostile.DATASETS.values() if fault.dataset == "maps"
-    ]
-    for k, member in enumerate((*terrain_members, *hostile.ELSEWHERE.values())):
-        # An array of 255 is sound terrain, although it does not agree with the maps.
-        if member is not hostile.DATASETS["all-walls"].member:
-            hostile.write(
-                folder / f"terrain{k}.h5", terrain_contents, terrain_shard, {"terrain": member}
-            )
     for version in (1, 2):
         hostile.write(
             folder / f"version{version}.h5",

@@ -10,6 +10,7 @@ import struct
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from random import Random
@@ -21,16 +22,25 @@ import pytest
 from helpers import hostile
 from helpers.builds import SOUND_SEED as SEED
 from helpers.builds import SOUND_SPEC as SPEC
-from helpers.builds import unprivileged_folder
+from helpers.builds import SOUND_TERRAIN, unprivileged_folder
 from helpers.examples import Some, examples
-from helpers.specs import MOVEMENTS, movements, specs
+from helpers.specs import MOVEMENTS, SIDES, movements, specs
+from helpers.terrain_maps import imported_header, labelled_terrain
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapdata import Labels, MapSpec, ShardError, generate, label, read_shard
+from mapdata import Labels, MapGenerator, MapSpec, ShardError, generate, label, read_shard
 from mapdata.movement import Movement
 from mapdata.shards import content_hash, open_shard, write_file
-from mapdata.shards.arrays import DATASETS, bits_per_move, decode, pack_moves, unpack_moves
+from mapdata.shards.arrays import (
+    DATASETS,
+    TERRAIN_DATASETS,
+    StoredDataset,
+    bits_per_move,
+    decode,
+    pack_moves,
+    unpack_moves,
+)
 from mapdata.shards.header import Header
 from mapdata.shards.image import shard_image
 
@@ -39,7 +49,7 @@ LINUX = pytest.mark.skipif(sys.platform != "linux", reason="inotify and /proc ar
 
 
 def header_of(
-    generator: MapSpec, seed: int, start: int, stop: int, *, imported: bool = False
+    generator: MapGenerator, seed: int, start: int, stop: int, *, imported: bool = False
 ) -> Header:
     """Return the header of maps start <= i < stop."""
     return Header(
@@ -62,6 +72,7 @@ def assert_same_labels(found: Labels, expected: Labels) -> None:
         "index",
         "packed",
         "occupancy",
+        "terrain",
         "rooms",
         "passage_width",
         "seed_points",
@@ -92,21 +103,50 @@ class Sound(NamedTuple):
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
     """Three maps of 20 x 70 cells, 8-connected."""
-    path = tmp_path_factory.mktemp("sound") / "maps-000000000000-000000000003.h5"
-    labels = label(generate(SPEC, SEED, range(3)))
-    path.write_bytes(shard_image(labels, header_of(SPEC, SEED, 0, 3))[0])
+    return written(SPEC, tmp_path_factory.mktemp("sound"))
+
+
+@pytest.fixture(scope="module")
+def sound_terrain(tmp_path_factory: pytest.TempPathFactory) -> Sound:
+    """Three maps like them with terrain."""
+    return written(SOUND_TERRAIN, tmp_path_factory.mktemp("sound"))
+
+
+def written(generator: MapGenerator, folder: Path) -> Sound:
+    """Write a sound shard of three maps."""
+    path = folder / "maps-000000000000-000000000003.h5"
+    labels = label(generate(generator, SEED, range(3)))
+    path.write_bytes(shard_image(labels, header_of(generator, SEED, 0, 3))[0])
     return Sound(path, labels, hostile.read_contents(path))
 
 
 # --- round trip ---------------------------------------------------------------------------------
 
 
+@st.composite
+def uniform(draw: st.DrawFn) -> tuple[Labels, Header]:
+    """Draw maps of rooms, imported or not."""
+    generator, seed = draw(specs()), draw(st.integers(0, 2**64 - 1))
+    start = draw(st.integers(0, 2**40))
+    stop = start + draw(st.integers(1, 4))
+    header = header_of(generator, seed, start, stop, imported=draw(st.booleans()))
+    return label(generate(generator, seed, range(start, stop))), header
+
+
+@st.composite
+def terrain(draw: st.DrawFn) -> tuple[Labels, Header]:
+    """Draw imported maps of random costs, where some pairs have no path."""
+    seed, size = draw(st.integers(0, 2**32)), (draw(SIDES), draw(SIDES))
+    labels = labelled_terrain(seed, size, draw(st.integers(1, 4)), draw(st.sampled_from(MOVEMENTS)))
+    return labels, imported_header(labels.maps)
+
+
+@pytest.mark.parametrize("shards", [uniform(), terrain()], ids=["uniform", "terrain"])
 @SETTINGS
-@given(specs(), st.integers(0, 2**64 - 1), st.integers(0, 2**40), st.integers(1, 4), st.booleans())
-def test_round_trip(generator: MapSpec, seed: int, start: int, count: int, imported: bool) -> None:
+@given(st.data())
+def test_round_trip(shards: st.SearchStrategy[tuple[Labels, Header]], data: st.DataObject) -> None:
     """What is written is read back equal, for all movements and sizes, imported or not."""
-    header = header_of(generator, seed, start, start + count, imported=imported)
-    labels = label(generate(generator, seed, range(start, start + count)))
+    labels, header = data.draw(shards)
     image, content = shard_image(labels, header)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "shard.h5"
@@ -114,7 +154,7 @@ def test_round_trip(generator: MapSpec, seed: int, start: int, count: int, impor
         shard = open_shard(path, len(image))
         assert (shard.path, shard.header, shard.content_hash) == (path, header, content)
         assert shard.header.identity == header.identity
-        assert (header.identity is None) == imported
+        assert (header.identity is None) == (header.generator is None)
         assert_same_labels(decode(shard), labels)
         assert_same_labels(read_shard(str(path)), labels)
         assert content_hash(decode(shard)) == content == content_hash(labels)
@@ -161,13 +201,22 @@ def test_the_image_is_deterministic(sound: Sound, monkeypatch: pytest.MonkeyPatc
     assert all(other == image for other in images)
 
 
-def test_every_dataset_explains_itself(sound: Sound) -> None:
-    """A shard holds the datasets of DATASETS and no other, each with its description, units and
-    encoding.
+@pytest.mark.parametrize("fields", [DATASETS, TERRAIN_DATASETS], ids=["uniform", "terrain"])
+def test_every_dataset_explains_itself(
+    fields: Sequence[StoredDataset], sound: Sound, sound_terrain: Sound
+) -> None:
+    """A shard holds its datasets and no other, each with its description, units and encoding; the
+    costs of terrain are told from numbers of moves.
     """
-    with h5py.File(sound.path, "r") as file:
-        assert sorted(file) == sorted(field.name for field in DATASETS)
-        for field in DATASETS:
+    changed = [field.name for field in TERRAIN_DATASETS if field not in DATASETS]
+    assert changed == ["terrain", "astar_straight", "astar_diagonal"]
+    assert all(
+        "half units" in field.units for field in TERRAIN_DATASETS if field.name in changed[1:]
+    )
+    path = sound.path if fields is DATASETS else sound_terrain.path
+    with h5py.File(path, "r") as file:
+        assert sorted(file) == sorted(field.name for field in fields)
+        for field in fields:
             stated = {name: getattr(field, name) for name in ("description", "units", "encoding")}
             attributes = file[field.name].attrs.items()
             assert {
@@ -175,14 +224,15 @@ def test_every_dataset_explains_itself(sound: Sound) -> None:
             } == stated
 
 
-def test_arrays_are_aligned_read_only_views(sound: Sound) -> None:
+def test_arrays_are_aligned_read_only_views(sound: Sound, sound_terrain: Sound) -> None:
     """Each array lies at a multiple of 64 bytes in one mapping that nobody can write to."""
-    arrays = open_shard(sound.path).arrays
-    assert list(arrays) == [field.name for field in DATASETS]
-    places = [array.ctypes.data for array in arrays.values()]
-    assert all(place % 64 == 0 for place in places)
-    assert max(places) - min(places) < len(sound.contents.image)
-    assert not any(array.flags.writeable for array in arrays.values())
+    for shard, fields in ((sound, DATASETS), (sound_terrain, TERRAIN_DATASETS)):
+        arrays = open_shard(shard.path).arrays
+        assert list(arrays) == [field.name for field in fields]
+        places = [array.ctypes.data for array in arrays.values()]
+        assert all(place % 64 == 0 for place in places)
+        assert max(places) - min(places) < len(shard.contents.image)
+        assert not any(array.flags.writeable for array in arrays.values())
 
 
 @pytest.mark.slow
@@ -318,12 +368,15 @@ def test_the_generator_writes_sound_shards_too(sound: Sound, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("name", hostile.DATASETS)
-def test_hostile_datasets_are_refused(name: str, sound: Sound, tmp_path: Path) -> None:
+def test_hostile_datasets_are_refused(
+    name: str, sound: Sound, sound_terrain: Sound, tmp_path: Path
+) -> None:
     """One dataset that is not plain, has another type or shape, or values that lead out of the
     arrays.
     """
     fault = hostile.DATASETS[name]
-    hostile.write(tmp_path / "shard.h5", sound.contents, sound.path, {fault.dataset: fault.member})
+    shard = sound_terrain if fault.dataset == "terrain" else sound
+    hostile.write(tmp_path / "shard.h5", shard.contents, shard.path, {fault.dataset: fault.member})
     refused(tmp_path / "shard.h5", f"'{fault.blamed or fault.dataset}'.*(?:{fault.says})")
 
 
@@ -384,15 +437,18 @@ class Opens:
 
 
 @LINUX
-@pytest.mark.parametrize("dataset", ["maps", "split", "astar_diagonal"])
+@pytest.mark.parametrize("dataset", ["maps", "split", "astar_diagonal", "terrain"])
 @pytest.mark.parametrize("name", hostile.ELSEWHERE)
-def test_nothing_outside_is_opened(name: str, dataset: str, sound: Sound, tmp_path: Path) -> None:
+def test_nothing_outside_is_opened(
+    name: str, dataset: str, sound: Sound, sound_terrain: Sound, tmp_path: Path
+) -> None:
     """A dataset in another file is refused without touching that file, which plain h5py opens and
     reads.
     """
+    contents = (sound_terrain if dataset == "terrain" else sound).contents
     target = tmp_path / "target.h5"
-    target.write_bytes(sound.contents.image)
-    hostile.write(tmp_path / "shard.h5", sound.contents, target, {dataset: hostile.ELSEWHERE[name]})
+    target.write_bytes(contents.image)
+    hostile.write(tmp_path / "shard.h5", contents, target, {dataset: hostile.ELSEWHERE[name]})
     opens = Opens(target)
     try:
         refused(
