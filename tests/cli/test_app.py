@@ -22,7 +22,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from helpers.builds import MAPS, SEED, SIZE, SPEC, make, shard_name, stamps, unprivileged_folder
+from helpers.builds import (
+    MAPS,
+    SEED,
+    SIZE,
+    SPEC,
+    Built,
+    shard_name,
+    stamps,
+    unprivileged_folder,
+)
 from helpers.examples import slow
 from helpers.families import KNOWN, forget, write_module
 
@@ -85,11 +94,9 @@ def run(capsys: pytest.CaptureFixture[str]) -> Command:
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def dataset(built: Built) -> Path:
     """Give a finished dataset; tests leave it as it is."""
-    root = tmp_path_factory.mktemp("cli") / "maps"
-    make(root)
-    return root
+    return built(SPEC, maps=MAPS, seed=SEED, shard_size=SIZE)
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.builds import Built
 from helpers.examples import slow
 from helpers.grids import random_grids
 from helpers.reference import add, reference_distances
@@ -47,11 +48,9 @@ SPLIT_COUNTS = {"train": 12, "val": 12, "test": 12}
 
 
 @pytest.fixture(scope="module")
-def root(tmp_path_factory: pytest.TempPathFactory) -> str:
+def root(built: Built) -> str:
     """Return a small dataset of mazes."""
-    folder = tmp_path_factory.mktemp("export") / "mazes"
-    build(folder, MAZE, maps=60, workers=1)
-    return str(folder)
+    return str(built(MAZE, maps=60))
 
 
 def about(folder: Path) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.builds import Built
 
 from mapdata import (
     MapDataset,
@@ -40,11 +41,9 @@ def convert(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def root(built: Built) -> Path:
     """40 mazes with loops of 15 x 15 cells."""
-    folder = tmp_path_factory.mktemp("mazes") / "maps"
-    build(folder, Maze((15, 15), reopened=0.2, seed_points=3), maps=40, seed=2)
-    return folder
+    return built(Maze((15, 15), reopened=0.2, seed_points=3), maps=40, seed=2)
 
 
 def test_the_converter_of_hrm_reads_what_we_write(root: Path, tmp_path: Path) -> None:

@@ -60,19 +60,12 @@ def make(
     maps: int = MAPS,
     shard_size: int = SIZE,
     *,
-    generator: MapGenerator = SPEC,
     workers: int | None = 1,
     executor: Executor | None = None,
 ) -> Manifest:
     """Build the dataset of these tests."""
     return build(
-        root,
-        generator,
-        maps=maps,
-        seed=SEED,
-        shard_size=shard_size,
-        workers=workers,
-        executor=executor,
+        root, SPEC, maps=maps, seed=SEED, shard_size=shard_size, workers=workers, executor=executor
     )
 
 

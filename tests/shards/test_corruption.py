@@ -19,9 +19,11 @@ import numpy as np
 import pytest
 from helpers.builds import (
     MAPS,
+    SEED,
     SIZE,
     SOUND_TERRAIN,
     SPEC,
+    Built,
     InTheCaller,
     listing,
     make,
@@ -35,7 +37,7 @@ from helpers.grids import random_grids
 from helpers.imported import collection
 
 import mapdata
-from mapdata import DatasetNotFoundError, repair, verify
+from mapdata import DatasetNotFoundError, MapGenerator, repair, verify
 from mapdata.cli import main
 from mapdata.formats import import_maps
 from mapdata.shards import MANIFEST, PROVENANCE, Manifest, corruption, read_manifest
@@ -54,11 +56,10 @@ def root(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def finished(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def finished(request: pytest.FixtureRequest, built: Built) -> Path:
     """A finished dataset, of rooms unless the test asks for others; tests leave it as it is."""
-    root = tmp_path_factory.mktemp("finished") / "maps"
-    make(root, generator=getattr(request, "param", SPEC))
-    return root
+    generator: MapGenerator = getattr(request, "param", SPEC)
+    return built(generator, maps=MAPS, seed=SEED, shard_size=SIZE)
 
 
 with_terrain = pytest.mark.parametrize(
@@ -82,18 +83,18 @@ def named(root: Path) -> Iterator[str]:
 
 
 @with_terrain
-def test_verify_finds_every_flipped_bit(some: Some, finished: Path) -> None:
+def test_verify_finds_every_flipped_bit(some: Some, copied: Path) -> None:
     """One bit at many random places of every file: that file is named, and no other."""
     random = Random(3)
     for name in names(MAPS, SIZE):
-        image = (finished / name).read_bytes()
+        image = (copied / name).read_bytes()
         for _ in range(some(25)):
             damaged = bytearray(image)
             damaged[random.randrange(len(image))] ^= 1 << random.randrange(8)
-            (finished / name).write_bytes(damaged)
-            assert list(named(finished)) == [name]
-        (finished / name).write_bytes(image)
-    assert verify(finished) == []
+            (copied / name).write_bytes(damaged)
+            assert list(named(copied)) == [name]
+        (copied / name).write_bytes(image)
+    assert verify(copied) == []
 
 
 @pytest.mark.parametrize("length", [0, 1, 100, 8192, -1])

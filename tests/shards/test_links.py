@@ -10,10 +10,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from helpers.builds import Built
 from helpers.imported import imported
 from helpers.wild import cli
 
-from mapdata import MapDataModule, MapDataset, Movement, ProblemSet, build, repair, verify
+from mapdata import MapDataModule, MapDataset, Movement, ProblemSet, repair, verify
 from mapdata.describe import card
 from mapdata.export import export_problems
 from mapdata.formats import export
@@ -56,11 +57,9 @@ def linked(folder: Path, real: Path, target_of: Callable[[str, str], Path]) -> P
 
 
 @pytest.fixture(scope="module")
-def real(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def real(built: Built) -> Path:
     """A built dataset without links."""
-    folder = tmp_path_factory.mktemp("links") / "real"
-    build(folder, "paper", maps=8, shard_size=4)
-    return folder
+    return built("paper", maps=8, shard_size=4)
 
 
 LAYOUTS = {"hub": hub, "dvc": dvc, "annex": annex}

@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 from helpers import hostile
-from helpers.builds import publish, restated
+from helpers.builds import Built, publish, restated
 from helpers.families import PILLARS, forget
 from helpers.terrain_maps import imported_header, labelled_terrain, random_terrain_maps
 
@@ -62,11 +62,9 @@ def written(path: Path, labels: Labels, header: Header | None = None) -> Path:
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def finished(built: Built) -> Path:
     """Seven maps in two shards; tests leave them as they were."""
-    root = tmp_path_factory.mktemp("terrain") / "maps"
-    build(root, GENERATOR, maps=MAPS, seed=SEED, shard_size=SHARD_SIZE, workers=1)
-    return root
+    return built(GENERATOR, maps=MAPS, seed=SEED, shard_size=SHARD_SIZE)
 
 
 @pytest.fixture
