@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mapdata.jit import Int, kernel
+from mapdata.jit import Int, inlined, kernel
 
 (
     MAP,
@@ -41,7 +41,7 @@ _STREAM_SHIFT = np.uint64(24)
 Words = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
 
 
-@kernel
+@inlined
 def philox4x32(
     c0: np.uint64, c1: np.uint64, c2: np.uint64, c3: np.uint64, k0: np.uint64, k1: np.uint64
 ) -> Words:

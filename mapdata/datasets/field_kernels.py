@@ -38,6 +38,7 @@ from mapdata.search.lattice import (
     cells_of,
     is_legal,
     load,
+    only,
     position,
 )
 from mapdata.search.solving import shortest_costs_on
@@ -120,7 +121,7 @@ def _search_around(
     if cell_costs is None:
         return None, write_optimal_moves(map_, goal[0], goal[1], needs_costs, lattice, scratch)
     ground = load_terrain(map_, lattice, cell_costs, scratch.came_from)
-    source = np.full(1, cell_at(goal[0], goal[1], lattice))
+    source = only(cell_at(goal[0], goal[1], lattice))
     return ground, shortest_terrain_costs(source, ground, lattice, scratch)
 
 
@@ -438,13 +439,13 @@ def path_probabilities(
             continue
         for sources, costs in ((path[:1], from_start), (path[-1:], to_goal)):
             _, ground = load_map(maps[b], cell_costs, lattice, scratch.came_from)
-            high_cost = shortest_costs_on(sources, ground, lattice, scratch)
+            high_cost = shortest_costs_on(sources, cell_costs, ground, lattice, scratch)
             if high_cost:
                 return probabilities, b, high_cost
             _write_costs(ground, lattice, scratch, costs)
         # No cell is farther from the path than from its start, so no cost is too high.
         _, ground = load_map(maps[b], cell_costs, lattice, scratch.came_from)
-        shortest_costs_on(path, ground, lattice, scratch)
+        shortest_costs_on(path, cell_costs, ground, lattice, scratch)
         _write_costs(ground, lattice, scratch, to_path)
         path_cost = to_goal[starts[b, 0], starts[b, 1]]
         for row in range(rows):
@@ -501,7 +502,7 @@ def fill_room_matrices(
             # terrain stays. Maps of datasets hold 0 and 1 alone, so loading cannot fail.
             if i == 0 or cell_costs is None:
                 _, ground = load_map(maps[b], cell_costs, lattice, scratch.came_from)
-            high_cost = shortest_costs_on(cells[i : i + 1], ground, lattice, scratch)
+            high_cost = shortest_costs_on(cells[i : i + 1], cell_costs, ground, lattice, scratch)
             if high_cost:
                 return matrices, b, high_cost
             unit = unit_of(ground)

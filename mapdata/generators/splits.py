@@ -31,17 +31,22 @@ def split_thresholds(splits: tuple[float, ...]) -> Words:
     return np.array([threshold(train), threshold(train + val)], np.uint64)
 
 
-@kernel
 def draw_splits(seed: np.uint64, indices: Ints, thresholds: Words) -> Bytes:
     """Return the splits of maps ``indices``, (N,): 0 train, 1 val, 2 test.
 
     ``thresholds`` are those of `split_thresholds`.
     """
     codes = np.empty(len(indices), np.uint8)
+    _fill_splits(seed, indices, thresholds, codes)
+    return codes
+
+
+@kernel
+def _fill_splits(seed: np.uint64, indices: Ints, thresholds: Words, codes: Bytes) -> None:
+    """Do the work of `draw_splits`, whose result is written to ``codes`` (N,)."""
     for k in range(len(indices)):
         word, _, _, _ = block(seed, np.uint64(indices[k]), 0, SPLIT, 0)
-        codes[k] = int(word >= thresholds[0]) + int(word >= thresholds[1])
-    return codes
+        codes[k] = np.uint8(word >= thresholds[0]) + np.uint8(word >= thresholds[1])
 
 
 def maps_of_split(generator: MapGenerator, seed: int, split: str, count: int) -> Ints:

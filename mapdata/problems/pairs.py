@@ -114,7 +114,9 @@ def _solve_pairs(
             if start == goal:
                 continue
             _, ground = load_map(maps[b], cell_costs, lattice, scratch.came_from)
-            found = search_loaded(start, goal, weights, diagonals, ground, lattice, scratch)
+            found = search_loaded(
+                start, goal, weights, diagonals, cell_costs, ground, lattice, scratch
+            )
             if found.high_cost:
                 return ends, Solved(cells, sums, expansions, offsets, b, found.high_cost)
             expansions[b] = found.expansions
@@ -124,7 +126,7 @@ def _solve_pairs(
                 sums[b, 0] = found.straight_sum
                 sums[b, 1] = found.diagonal_sum
                 cells = with_capacity(cells, used, found.length)
-                write_cells(scratch.came_from, goal, lattice, cells[used : used + found.length])
+                write_cells(scratch.came_from, goal, found.length, lattice, cells, used)
                 offsets[b + 1] = used + found.length
                 break
     return ends, Solved(cells[: offsets[count]], sums, expansions, offsets, count, EXACT)

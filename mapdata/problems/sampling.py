@@ -6,13 +6,14 @@ A problem is a function of (sampling seed, epoch, index), never of the state of 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
 from mapdata.generators.maps import WORD
-from mapdata.jit import Int, kernel
+from mapdata.jit import Int, inlined, kernel
 from mapdata.problems.sources import OPEN, Bands
 from mapdata.rng import PROBLEM, block, bounded
 from mapdata.search.bitboard import (
@@ -55,6 +56,7 @@ from mapdata.search.lattice import (
     heuristic,
     in_cells,
     load,
+    only,
     position,
     split_cost,
 )
@@ -113,7 +115,8 @@ def sample_problems(
         has_diagonals = rule[0] != NO_DIAGONALS
         neighbours = np.zeros(lattice.cells, np.uint8) if has_diagonals else None
         method = _Method(limits=limits, neighbours=neighbours)
-    ends, row, high_cost = _sample(
+    ends = np.full((len(indices), 4), -1)
+    row, high_cost = _sample(
         map_arrays,
         goals,
         seed,
@@ -124,6 +127,7 @@ def sample_problems(
         *method,
         lattice,
         scratch,
+        ends,
     )
     return ends, row, high_cost
 
@@ -168,14 +172,14 @@ def _sample(
     cell_costs: Bytes | None,
     lattice: Lattice,
     scratch: Scratch,
-) -> tuple[Ints, Int, Int]:
+    ends: Ints,
+) -> tuple[Int, Int]:
     """Do the work of `sample_problems`, whose arguments and results these are.
 
     ``maps``, (B, H, W), are grids or terrain. `_Method` describes the four arguments that follow
-    the bands.
+    the bands. Starts and goals are written to ``ends`` (B, 4), where -1 stands already.
     """
     count = len(maps)
-    ends = np.full((count, 4), -1)
     lengths = bands[2]
     has_lengths = lengths[0] > 2 or lengths[1] < np.inf
     for b in range(count):
@@ -220,7 +224,7 @@ def _sample(
                 if cell_costs is not None:
                     high_cost = _mark_terrain_starts(goal, bands, padded, lattice, scratch, board)
                 if high_cost:
-                    return ends, b, high_cost
+                    return b, high_cost
             start_count = count_bits(board.reached, 0, len(board.free))
             if start_count == 0:
                 if goals is not None:
@@ -237,7 +241,7 @@ def _sample(
             ends[b, 0], ends[b, 1] = start
             ends[b, 2], ends[b, 3] = goal
             break
-    return ends, count, EXACT
+    return count, EXACT
 
 
 @kernel
@@ -292,7 +296,7 @@ def _mark_far_starts(
         board.reached.fill(0)
     load(grid, scratch.came_from)
     goal_cell = cell_at(row, column, lattice)
-    high_cost = shortest_costs(np.full(1, goal_cell), max_cost, lattice, scratch)
+    high_cost = shortest_costs(only(goal_cell), max_cost, lattice, scratch)
     if high_cost:
         return high_cost
     optimal_moves = scratch.came_from
@@ -307,7 +311,7 @@ def _mark_far_starts(
     return EXACT
 
 
-@kernel
+@lru_cache(maxsize=64)
 def _level_limits(max_levels: Int, bands: Bands, rule: MoveRule) -> Ints:
     """Return the limits, for `flood_within`, that starts within ``bands`` meet.
 
@@ -318,6 +322,8 @@ def _level_limits(max_levels: Int, bands: Bands, rule: MoveRule) -> Ints:
     A diagonal move takes the place of two straight ones if it cuts no corner. So under 8 neighbours
     the cost of a cell is less than its level by no more than a factor, and so is the heuristic less
     than the distance on an empty map. There the limits are wider: all starts meet them.
+
+    They are cached, because all batches of a dataset have the same.
 
     Args:
         max_levels: number of levels.
@@ -355,7 +361,7 @@ def _level_limits(max_levels: Int, bands: Bands, rule: MoveRule) -> Ints:
     return limits
 
 
-@kernel
+@inlined
 def _mark_starts_by_bits(
     grid: Bytes,
     goal: tuple[Int, Int],
@@ -383,7 +389,7 @@ def _mark_starts_by_bits(
     if flood_within(goal[0], goal[1], limits, board):
         return EXACT
     load(grid, scratch.came_from)
-    sources = np.full(1, cell_at(goal[0], goal[1], lattice))
+    sources = only(cell_at(goal[0], goal[1], lattice))
     high_cost = shortest_costs(sources, _end_of_search(1.0, bands), lattice, scratch)
     if high_cost:
         return high_cost
@@ -391,7 +397,7 @@ def _mark_starts_by_bits(
     return EXACT
 
 
-@kernel
+@inlined
 def _mark_starts_by_jumps(
     grid: Bytes,
     goal: tuple[Int, Int],
@@ -434,7 +440,7 @@ def _mark_starts_by_jumps(
     return EXACT
 
 
-@kernel
+@inlined
 def _end_of_search(max_move_cost: float, bands: Bands) -> Int:
     """Return a cost, in cells, from which on no cell is a start, or INFINITY.
 
@@ -511,7 +517,7 @@ def _mark_costs_within(
             board.reached[word_at(row, first_column, board.stride)] = word
 
 
-@kernel
+@inlined
 def _is_within(cost: Int, rows: Int, columns: Int, bands: Bands, lattice: Lattice) -> Int:
     """Return whether a start is within all bands.
 
@@ -557,7 +563,7 @@ def _mark_terrain_starts(
         0, or the least cost of a cell that is too high to be exact.
     """
     goal_cell = cell_at(goal[0], goal[1], lattice)
-    high_cost = shortest_terrain_costs(np.full(1, goal_cell), padded, lattice, scratch)
+    high_cost = shortest_terrain_costs(only(goal_cell), padded, lattice, scratch)
     if high_cost:
         return high_cost
     distances, ratios, _ = bands

@@ -188,7 +188,7 @@ _MOVES_AFTER_CUTTING_CORNERS = _moves_after(KEPT_MOVES_CUTTING_CORNERS)
 # --- the map as bits ----------------------------------------------------------------------------
 
 
-@kernel
+@inlined
 def load_bits(grid: Bytes, bits: BitMap, block: Words) -> Int:
     """Write the free cells of ``grid`` (H, W) into the words of ``bits``.
 
@@ -280,7 +280,7 @@ def _is_free(words: Words, bit: Int) -> Int:
     return (words[b >> _WORD_BITS] >> (b & _LAST_BIT)) & _ONE
 
 
-@inlined
+@kernel
 def _free_around(words: Words, bit: Int, pitch: Int) -> Int:
     """Return which cells are free of the three by three around a bit.
 
@@ -624,7 +624,7 @@ def _search(
                             pitch = column_pitch
                             bit = first_by_columns + scan_column * column_pitch + scan_row
                             goal_bit = goal_by_columns
-                        if scan in (1, 2):
+                        if 1 <= scan <= 2:  # east or south
                             length = _scan_up(words, bit, pitch, goal_bit, lead)
                         else:
                             length = _scan_down(words, bit, pitch, goal_bit, lead)

@@ -31,7 +31,7 @@ from mapdata.generators.maps import WORD
 from mapdata.jit import Int, inlined, kernel
 from mapdata.search.ground import EXACT
 from mapdata.search.kernels import Scratch, shortest_costs
-from mapdata.search.lattice import INFINITY, NO_DIAGONALS, Lattice, cell_at, load
+from mapdata.search.lattice import INFINITY, NO_DIAGONALS, Lattice, cell_at, load, only
 
 MAX_SIDE = 64
 """Largest number of rows and of columns of a map that `bfs_labels_by_bits` accepts."""
@@ -113,8 +113,8 @@ def write_optimal_moves(
             _write_board_moves(row + column, board, lattice, grid.shape, scratch.came_from)
             return EXACT
     load(grid, scratch.came_from)
-    sources = np.full(1, cell_at(row, column, lattice))
-    return shortest_costs(sources, INFINITY, lattice, scratch)
+    source = only(cell_at(row, column, lattice))
+    return shortest_costs(source, INFINITY, lattice, scratch)
 
 
 @inlined
@@ -242,7 +242,8 @@ def flood_within(row: Int, column: Int, limits: Ints, board: Board) -> Int:
     stride = board.stride
     unseen = board.free.copy()
     reached = board.reached
-    reached.fill(0)
+    for k in range(len(reached)):
+        reached[k] = 0
     levels = np.zeros((2, len(unseen)), np.uint64)
     current = levels[0]
     following = levels[1]
@@ -626,7 +627,7 @@ def _west_neighbours(cells: Words, word: np.uint64, carry: np.uint64) -> Int:
     return (cells[word] << _ONE) | ((cells[word - _ONE] >> _TOP_BIT) & carry)
 
 
-@kernel
+@inlined
 def _trace_path(
     around_goal: Words,
     around_start: Words,

@@ -169,17 +169,6 @@ def as_ground(grids: Bytes, terrains: Bytes | None) -> tuple[Bytes, Bytes | None
 
 
 @inlined
-def is_usable_end(
-    cell: Ints, shape: tuple[Int, Int], may_be_occupied: Int, lattice: Lattice, came_from: Bytes
-) -> Int:
-    """Return whether ``cell`` (row, col) is inside a loaded map, and free if it has to be."""
-    row = cell[0]  # Unpacking an array takes long to compile.
-    column = cell[1]
-    is_inside = 0 <= row < shape[0] and 0 <= column < shape[1]
-    return is_inside and (may_be_occupied or came_from[cell_at(row, column, lattice)] != WALL)
-
-
-@inlined
 def heuristic_on(rows: Int, columns: Int, ground: PaddedTerrain | None, lattice: Lattice) -> Int:
     """Return the cost of a path by (rows, columns) on a map without occupied cells.
 

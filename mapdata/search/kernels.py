@@ -613,12 +613,14 @@ def write_moves(
 
 
 @kernel
-def write_cells(came_from: Bytes, goal: Int, lattice: Lattice, path: Ints) -> None:
-    """Write the cells of a path that ends at ``goal`` to ``path`` (k, 2), k of them."""
+def write_cells(
+    came_from: Bytes, goal: Int, length: Int, lattice: Lattice, cells: Ints, used: Int
+) -> None:
+    """Write the ``length`` cells of a path that ends at ``goal`` to ``cells[used:]``, (n, 2)."""
     cell = goal
-    for k in range(len(path) - 1, -1, -1):
-        path[k, 0], path[k, 1] = position(cell, lattice)
-        if k:
+    for k in range(used + length - 1, used - 1, -1):
+        cells[k, 0], cells[k, 1] = position(cell, lattice)
+        if k > used:
             cell -= lattice.offsets[np.uint64(came_from[np.uint64(cell)] & _MOVE)]
 
 

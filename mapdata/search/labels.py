@@ -388,6 +388,7 @@ def _collect_astar_labels(
     has_diagonals = pair_costs is not None and terrain is None
     diagonals = batch.lattice.diagonals if has_diagonals else None
     loaded = np.empty(batch.lattice.cells, np.uint8)
+    neighbours = np.zeros(batch.lattice.cells, np.uint8)
     # This is enough except for mazes. Memory that is not used does not become memory of the
     # process.
     capacity = 4 * batch.lattice.stride * int(batch.rooms.sum())
@@ -402,6 +403,7 @@ def _collect_astar_labels(
             diagonals,
             cell_costs,
             loaded,
+            neighbours,
             moves,
             done,
             used,
@@ -521,6 +523,7 @@ def _astar_labels(
     diagonals: Int | None,
     cell_costs: Bytes | None,
     loaded: Bytes,
+    neighbours: Bytes,
     moves: Bytes,
     first_map: Int,
     used: Int,
@@ -543,6 +546,7 @@ def _astar_labels(
         diagonals: those of the lattice; None without diagonals, and on terrain.
         cell_costs: as from `as_ground`.
         loaded: (cells,) memory for the states of a map that is loaded.
+        neighbours: (cells,) zeros, memory for `find_free_neighbours`.
         moves: to be filled with the moves of all segments.
         first_map: the maps before this one are labelled already.
         used: the number of their moves.
@@ -554,7 +558,6 @@ def _astar_labels(
         ``moves`` has no room for the next one.
     """
     came_from = scratch.came_from
-    neighbours = np.zeros(lattice.cells, np.uint8)
     for m in range(first_map, len(maps)):
         _, ground = load_map(maps[m], cell_costs, lattice, loaded)
         if diagonals is not None:
@@ -569,7 +572,9 @@ def _astar_labels(
             goal = cells[m, q + 1]
             for k in range(lattice.cells):
                 came_from[k] = loaded[k]
-            found = search_loaded(start, goal, ASTAR, diagonals, ground, lattice, scratch)
+            found = search_loaded(
+                start, goal, ASTAR, diagonals, cell_costs, ground, lattice, scratch
+            )
             if found.high_cost:
                 return m, used_before_map, -1, found.high_cost
             length = max(found.length - 1, 0)  # without a path, no moves

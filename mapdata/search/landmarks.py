@@ -15,8 +15,8 @@ from __future__ import annotations
 import numpy as np
 
 from mapdata.arrays import Bytes, Ints
-from mapdata.jit import Int, kernel
-from mapdata.search.ground import EXACT, TOO_LONG, is_usable_end
+from mapdata.jit import Int, inlined, kernel
+from mapdata.search.ground import EXACT, TOO_LONG
 from mapdata.search.kernels import (
     Scratch,
     best_first_heap,
@@ -29,15 +29,17 @@ from mapdata.search.kernels import (
 from mapdata.search.lattice import (
     INFINITY,
     UNSEEN,
+    WALL,
     Lattice,
-    cell_at,
+    cell_or_wall,
     count_path_cells,
     load,
+    only,
 )
 from mapdata.search.solving import Solved
 
 
-@kernel
+@inlined
 def _largest_component(lattice: Lattice, scratch: Scratch) -> tuple[Int, Int, Int]:
     """Find the largest component of a map that is loaded; of equal ones that which comes first.
 
@@ -73,7 +75,7 @@ def _farthest(costs: Ints, lattice: Lattice) -> Int:
     return farthest
 
 
-@kernel
+@inlined
 def landmark_costs(
     grid: Bytes, count: Int, lattice: Lattice, scratch: Scratch
 ) -> tuple[Ints, Int, Int]:
@@ -94,16 +96,18 @@ def landmark_costs(
     load(grid, scratch.came_from)
     first_cell, component_size, free_cells = _largest_component(lattice, scratch)
     load(grid, scratch.came_from)
-    if shortest_costs(np.full(1, first_cell), INFINITY, lattice, scratch):
+    if shortest_costs(only(first_cell), INFINITY, lattice, scratch):
         return costs[:0], free_cells, TOO_LONG
     # The first landmark is the cell that is farthest from the first one of the component. Each
     # later landmark is farthest from the landmarks before it.
     landmark = _farthest(scratch.g, lattice)
-    nearest = np.full(lattice.cells, INFINITY)
+    nearest = np.empty(lattice.cells, np.int64)
+    for k in range(lattice.cells):
+        nearest[k] = INFINITY
     placed = 0
     while placed < min(count, component_size):
         load(grid, scratch.came_from)
-        if shortest_costs(np.full(1, landmark), INFINITY, lattice, scratch):
+        if shortest_costs(only(landmark), INFINITY, lattice, scratch):
             return costs[:0], free_cells, TOO_LONG
         for k in range(lattice.cells):
             costs[placed, k] = scratch.g[k]
@@ -135,29 +139,31 @@ def solve_with_landmarks(
         each problem: on a map that all problems share, 0 after the first problem.
     """
     count = len(starts)
+    shape = grids.shape[1:]
+    came_from = scratch.came_from
     sums = np.empty((count, 2), np.int64)
     expansions = np.empty(count, np.int64)
-    prepared = np.zeros(count, np.int64)
-    offsets = np.zeros(count + 1, np.int64)
+    prepared = np.empty(count, np.int64)
+    offsets = np.empty(count + 1, np.int64)
     cells = np.empty((64 * count + 64, 2), np.int64)
     costs = np.empty((0, 0), np.int64)
+    offsets[0] = 0
     used = 0
+    done = 0
+    high_cost = EXACT
     for b in range(count):
         grid = grids[b if len(grids) > 1 else 0]
-        is_valid = load(grid, scratch.came_from)
-        if (
-            not is_valid
-            or not is_usable_end(starts[b], grids.shape[1:], 0, lattice, scratch.came_from)
-            or not is_usable_end(goals[b], grids.shape[1:], 0, lattice, scratch.came_from)
-        ):
-            return Solved(cells, sums, expansions, offsets, b, EXACT), prepared
+        is_valid = load(grid, came_from)
+        start = cell_or_wall(starts[b, 0], starts[b, 1], *shape)
+        goal = cell_or_wall(goals[b, 0], goals[b, 1], *shape)
+        if not is_valid or came_from[start] == WALL or came_from[goal] == WALL:
+            break
+        prepared[b] = 0
         if b == 0 or len(grids) > 1:
             costs, prepared[b], high_cost = landmark_costs(grid, landmarks, lattice, scratch)
             if high_cost:
-                return Solved(cells, sums, expansions, offsets, b, high_cost), prepared
-            load(grid, scratch.came_from)
-        start = cell_at(starts[b, 0], starts[b, 1], lattice)
-        goal = cell_at(goals[b, 0], goals[b, 1], lattice)
+                break
+            load(grid, came_from)
         # All landmarks lie in one component, so one stands for all.  Without a path to both ends
         # they say nothing.
         usable = costs
@@ -167,13 +173,14 @@ def solve_with_landmarks(
             start, goal, (1, 1.0), usable, lattice, scratch
         )
         if high_cost:
-            return Solved(cells, sums, expansions, offsets, b, high_cost), prepared
-        straight, diagonal = count_moves(scratch.came_from, start, goal, lattice)
+            break
+        straight, diagonal = count_moves(came_from, start, goal, lattice)
         sums[b, 0] = straight
         sums[b, 1] = diagonal
         length = count_path_cells(straight, diagonal)
         cells = with_capacity(cells, used, length)
-        write_cells(scratch.came_from, goal, lattice, cells[used : used + length])
+        write_cells(came_from, goal, length, lattice, cells, used)
         used += length
         offsets[b + 1] = used
-    return Solved(cells[:used], sums, expansions, offsets, count, EXACT), prepared
+        done += 1
+    return Solved(cells[:used], sums, expansions, offsets, done, high_cost), prepared

@@ -173,6 +173,25 @@ def cell_at(row: Int, column: Int, lattice: Lattice) -> Int:
     return (row + 1) * lattice.stride + column + 1
 
 
+@kernel
+def cell_or_wall(row: Int, column: Int, rows: Int, columns: Int) -> Int:
+    """Return the padded cell of (row, column), or cell 0, which is a wall, if it is not inside.
+
+    The map has so many ``rows`` and ``columns``.
+    """
+    if 0 <= row < rows and 0 <= column < columns:
+        return (row + 1) * (columns + 2) + column + 1  # as `cell_at` computes it
+    return 0
+
+
+@inlined
+def only(cell: Int) -> Ints:
+    """Return one padded cell as an array (1,), which compiles in less time than `np.full`."""
+    cells = np.empty(1, np.int64)
+    cells[0] = cell
+    return cells
+
+
 @inlined
 def cells_of(points: Ints, lattice: Lattice) -> Ints:
     """Return the padded cells (n,) of the points (row, column), an array (n, 2)."""
@@ -239,25 +258,6 @@ def heuristic(rows: Int, columns: Int, lattice: Lattice) -> Int:
     return octile(rows, columns, lattice.diagonal_cost)
 
 
-@kernel
-def _heuristic_costs(differences: Ints, min_costs: Ints | None, rule: MoveRule) -> Floats:
-    """Return the heuristic (n,), in cells, of the differences (n, 2) between two cells.
-
-    ``min_costs`` (n,) are on terrain the smallest costs of a free cell, otherwise None.
-    """
-    lattice = lattice_of((0, 0), rule)
-    costs = np.empty(len(differences))
-    for k in range(len(differences)):
-        free_map_cost = heuristic(differences[k, 0], differences[k, 1], lattice)
-        if min_costs is None:
-            costs[k] = in_cells(free_map_cost)
-        else:
-            straight, diagonal = split_cost(free_map_cost)
-            # The counts are multiplied first, so that the cost is rounded only as `in_cells` does.
-            costs[k] = min_costs[k] * straight + (min_costs[k] * diagonal) * math.sqrt(2.0)
-    return costs
-
-
 def heuristics(
     starts: ArrayLike, goals: ArrayLike, movement: Movement, min_costs: ArrayLike | None = None
 ) -> Floats:
@@ -265,16 +265,20 @@ def heuristics(
 
     On terrain, ``min_costs`` is the smallest cost of a free cell: an integer, or (...) of them.
     """
-    # The kernel is compiled only once, since its arrays always have these dtypes and layouts.
-    differences = np.subtract(starts, goals, dtype=np.int64, order="C")
-    shape = differences.shape[:-1]
-    factors = None
+    distances: Ints = np.abs(np.subtract(starts, goals, dtype=np.int64))
+    rows = distances[..., 0]
+    columns = distances[..., 1]
+    if movement.connectivity == 4:
+        straight, diagonal = rows + columns, np.zeros_like(rows)
+    elif movement.diagonal_cost == 1:
+        straight, diagonal = np.maximum(rows, columns), np.zeros_like(rows)
+    else:
+        straight, diagonal = np.abs(rows - columns), np.minimum(rows, columns)
     if min_costs is not None:
-        factors = np.empty(shape, np.int64)
-        factors[...] = min_costs
-        factors = factors.reshape(-1)
-    costs = _heuristic_costs(differences.reshape(-1, 2), factors, move_rule(movement))
-    return costs.reshape(shape)
+        straight = np.multiply(min_costs, straight)
+        diagonal = np.multiply(min_costs, diagonal)
+    # The counts are multiplied first, so that the cost is rounded only as `in_cells` does.
+    return np.asarray(straight + diagonal * math.sqrt(2.0))
 
 
 HARD = 1.05
@@ -320,18 +324,18 @@ def load(grid: Bytes, came_from: Bytes) -> Int:
     """
     rows, columns = grid.shape
     stride = columns + 2
-    for k in range(stride):
-        came_from[k] = WALL
-        came_from[(rows + 1) * stride + k] = WALL
+    for k in range((rows + 2) * stride):
+        came_from[np.uint64(k)] = WALL
+    union = np.uint8(0)
     for row in range(rows):
         first = np.uint64((row + 1) * stride + 1)
-        came_from[first - np.uint64(1)] = WALL
         for k in range(columns):
             column = np.uint64(k)
+            cell = grid[row, column]
             # The lowest bit of UNSEEN is 0, and setting it gives WALL.
-            came_from[first + column] = UNSEEN | grid[row, column]
-        came_from[first + np.uint64(columns)] = WALL
-    return is_binary(grid)
+            came_from[first + column] = UNSEEN | cell
+            union = np.uint8(union | cell)  # as in `is_binary`
+    return union <= 1
 
 
 @kernel

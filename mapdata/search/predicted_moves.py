@@ -7,11 +7,10 @@ import math
 
 import numpy as np
 
-from mapdata.arrays import Bytes, Float32s, Int8s, Int32s, Ints
-from mapdata.jit import Int, kernel
+from mapdata.arrays import Bytes, Flags, Float32s, Floats, Int8s, Int32s, Ints
+from mapdata.jit import Int, inlined, kernel
 
 
-@kernel
 def follow_predictions(
     terrain: Bytes,
     scores: Float32s,
@@ -22,7 +21,7 @@ def follow_predictions(
     moves: Ints,
     diagonal_cost: float,
     corner_cutting: bool,
-) -> tuple[Ints, Int, Int32s]:
+) -> tuple[Ints, int, Int32s]:
     """Return the path of one problem, (k, 2) cells as from `_trace`, and which cells were expanded.
 
     Those are their number, and an array (H, W) of the number of the expansion of each cell, -1 for
@@ -41,12 +40,64 @@ def follow_predictions(
         diagonal_cost: length of a diagonal move, in cells.
         corner_cutting: whether a diagonal move may pass beside occupied cells.
     """
+    order = np.full(terrain.shape, -1, np.int32)
+    path, expansions = _follow(
+        terrain,
+        scores,
+        costs_to_go,
+        start,
+        goal,
+        penalty,
+        moves,
+        diagonal_cost,
+        corner_cutting,
+        np.full(terrain.shape, np.inf),
+        np.full(terrain.shape, np.inf),
+        np.full(terrain.shape, -1, np.int8),
+        np.zeros(len(moves), np.bool_),
+        order,
+    )
+    return path, expansions, order
+
+
+@kernel
+def _follow(
+    terrain: Bytes,
+    scores: Float32s,
+    costs_to_go: Float32s,
+    start: Ints,
+    goal: Ints,
+    penalty: float,
+    moves: Ints,
+    diagonal_cost: float,
+    corner_cutting: bool,
+    lengths: Floats,
+    costs: Floats,
+    move_to: Int8s,
+    legal: Flags,
+    order: Int32s,
+) -> tuple[Ints, Int]:
+    """Do the work of `follow_predictions`, whose arguments come first; return path and expansions.
+
+    The arrays come from Python, because they would take a second to compile.
+
+    Args:
+        terrain: (H, W).
+        scores: (moves, H, W).
+        costs_to_go: (H, W).
+        start: (2,).
+        goal: (2,).
+        penalty: in cells.
+        moves: (4, 2) or (8, 2).
+        diagonal_cost: in cells.
+        corner_cutting: whether corners may be cut.
+        lengths: (H, W), infinite, memory for the length of the best path to each cell.
+        costs: (H, W), infinite, memory for the cost of the best path to each cell.
+        move_to: (H, W), -1, memory for the move that leads to a cell from its parent.
+        legal: (moves,), memory for which moves are legal.
+        order: (H, W), -1, to be filled with the number of the expansion of each cell.
+    """
     rows, columns = terrain.shape
-    lengths = np.full((rows, columns), np.inf)
-    costs = np.full((rows, columns), np.inf)
-    move_to = np.full((rows, columns), -1, np.int8)  # the move that leads to a cell from its parent
-    order = np.full((rows, columns), -1, np.int32)
-    legal = np.zeros(len(moves), np.bool_)
     lengths[start[0], start[1]] = 0.0
     costs[start[0], start[1]] = 0.0
     # Entries are (priority, tie-break, row, column); the smallest entry is popped first.
@@ -109,10 +160,10 @@ def follow_predictions(
                 f = next_cost + to_go - 0.001 * lengths[next_row, next_column]
                 pushes += 1
                 heapq.heappush(frontier, (f, float(-pushes), next_row, next_column))
-    return _trace(move_to, moves, start, goal), expansions, order
+    return _trace(move_to, moves, start, goal), expansions
 
 
-@kernel
+@inlined
 def _trace(move_to: Int8s, moves: Ints, start: Ints, goal: Ints) -> Ints:
     """Return the path from start to goal, (k, 2) cells, or (0, 2) where the goal was not reached.
 

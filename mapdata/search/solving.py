@@ -6,17 +6,15 @@ and in `mapdata.search.terrain` for terrain, because each is faster alone.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mapdata.arrays import Bytes, Float32s, Ints
-from mapdata.jit import Int, kernel
+from mapdata.jit import Int, inlined, kernel
 from mapdata.search.ground import (
     EXACT,
-    PaddedTerrain,
     cost_in_cells,
-    is_usable_end,
     load_map,
     sums_of_cost,
     unit_of,
@@ -43,9 +41,11 @@ from mapdata.search.lattice import (
     Lattice,
     MoveRule,
     cell_at,
+    cell_or_wall,
     count_path_cells,
     lattice_of,
     load,
+    only,
     position,
 )
 from mapdata.search.terrain import (
@@ -104,9 +104,13 @@ class Found(NamedTuple):
 # --- one problem --------------------------------------------------------------------------------
 
 
-@kernel
+@inlined
 def shortest_costs_on(
-    sources: Ints, ground: PaddedTerrain | None, lattice: Lattice, scratch: Scratch
+    sources: Ints,
+    cell_costs: Bytes | None,
+    ground: Any,
+    lattice: Lattice,
+    scratch: Scratch,
 ) -> Int:
     """Write the costs of all cells to the nearest source and their optimal moves.
 
@@ -114,7 +118,8 @@ def shortest_costs_on(
 
     Args:
         sources: (n,) padded cells.
-        ground: of the map.
+        cell_costs: as `load_map` takes it, an argument of the kernel, for numba to know it.
+        ground: of the map: `PaddedTerrain`, or None if ``cell_costs`` is.
         lattice: of the map.
         scratch: with the map loaded in ``came_from``; terrain has to be loaded only once.
 
@@ -122,22 +127,26 @@ def shortest_costs_on(
         EXACT; or TOO_LONG or the doubled cost on terrain that is too high to be exact, at which the
         search stopped.
     """
-    if ground is None:
+    if cell_costs is None:
         return shortest_costs(sources, INFINITY, lattice, scratch)
     return shortest_terrain_costs(sources, ground, lattice, scratch)
 
 
-@kernel
+@inlined
 def search_loaded(
     start: Int,
     goal: Int,
     weights: CostWeights,
     diagonals: Int | None,
-    ground: PaddedTerrain | None,
+    cell_costs: Bytes | None,
+    ground: Any,
     lattice: Lattice,
     scratch: Scratch,
 ) -> Found:
     """Search a path between two padded cells of a map that is loaded.
+
+    Since this is a part of kernels, ``weights``, ``diagonals`` and ``cell_costs`` have to be
+    arguments of the kernel, or None, for numba to know them.
 
     Args:
         start: padded cell.
@@ -145,7 +154,8 @@ def search_loaded(
         weights: which search; on terrain not BFS, which counts moves. numba compiles the searches
             of its type alone.
         diagonals: those of the lattice, from `diagonal_moves`.
-        ground: of the map.
+        cell_costs: as `load_map` takes it.
+        ground: of the map: `PaddedTerrain`, or None if ``cell_costs`` is.
         lattice: of the map.
         scratch: with the map loaded in ``came_from``.
     """
@@ -156,7 +166,7 @@ def search_loaded(
     straight: Int = -1
     diagonal: Int = 0
     if came_from[start] != WALL and came_from[goal] != WALL:
-        if ground is None:
+        if cell_costs is None:
             if weights is None:
                 if diagonals is None:
                     expansions, pushes = astar_manhattan(start, goal, lattice, scratch)
@@ -165,7 +175,7 @@ def search_loaded(
                         start, goal, lattice, scratch
                     )
             elif weights == BFS:
-                queue_length = flood(start, np.full(1, goal), lattice, scratch)
+                queue_length = flood(start, only(goal), lattice, scratch)
                 expansions = expansions_until(scratch.pushed, queue_length, goal)
             else:
                 no_landmarks = np.empty((0, 0), np.int64)
@@ -180,10 +190,11 @@ def search_loaded(
             )
         straight, diagonal = count_moves(came_from, start, goal, lattice)
     length = count_path_cells(straight, diagonal)
-    if weights is not None and ground is None and weights == BFS:
-        straight += diagonal  # BFS weighs no moves, so all of them count as straight.
-        diagonal = 0
-    if ground is not None and length:
+    if cell_costs is None:
+        if weights is not None and weights == BFS:
+            straight += diagonal  # BFS weighs no moves, so all of them count as straight.
+            diagonal = 0
+    elif length:
         straight, diagonal = sums_of_path(came_from, start, goal, ground, lattice)
     return Found(length, straight, diagonal, expansions, pushes, high_cost)
 
@@ -218,44 +229,47 @@ def solve_problems(
         scratch: memory of the search.
     """
     count = len(starts)
+    shape = maps.shape[1:]
+    came_from = scratch.came_from
     sums = np.empty((count, 2), np.int64)
     expansions = np.empty(count, np.int64)
-    offsets = np.zeros(count + 1, np.int64)
+    offsets = np.empty(count + 1, np.int64)
     cells = np.empty((64 * count + 64, 2), np.int64)
+    offsets[0] = 0
     used = 0
+    done = 0
+    high_cost = EXACT
     is_bfs = False
     if weights is not None:
         is_bfs = weights == BFS
     for b in range(count):
-        map_ = maps[b if len(maps) > 1 else 0]
         # On a shared map, A* wipes what it wrote. BFS touches most of a map, so that copying it
         # anew costs less.
         if b == 0 or len(maps) > 1 or is_bfs:
-            is_valid, ground = load_map(map_, cell_costs, lattice, scratch.came_from)
+            map_ = maps[b if len(maps) > 1 else 0]
+            is_valid, ground = load_map(map_, cell_costs, lattice, came_from)
             if not is_valid:
-                return Solved(cells, sums, expansions, offsets, b, EXACT)
-        are_usable = is_usable_end(
-            starts[b], maps.shape[1:], allow_occupied_ends, lattice, scratch.came_from
-        ) and is_usable_end(
-            goals[b], maps.shape[1:], allow_occupied_ends, lattice, scratch.came_from
-        )
-        if not are_usable:
-            return Solved(cells, sums, expansions, offsets, b, EXACT)
-        start = cell_at(starts[b, 0], starts[b, 1], lattice)
-        goal = cell_at(goals[b, 0], goals[b, 1], lattice)
-        found = search_loaded(start, goal, weights, diagonals, ground, lattice, scratch)
-        if found.high_cost:
-            return Solved(cells, sums, expansions, offsets, b, found.high_cost)
+                break
+        start = cell_or_wall(starts[b, 0], starts[b, 1], *shape)
+        goal = cell_or_wall(goals[b, 0], goals[b, 1], *shape)
+        are_free = came_from[start] != WALL and came_from[goal] != WALL
+        if not are_free and (not allow_occupied_ends or start == 0 or goal == 0):
+            break
+        found = search_loaded(start, goal, weights, diagonals, cell_costs, ground, lattice, scratch)
+        high_cost = found.high_cost
+        if high_cost:
+            break
         sums[b, 0] = found.straight_sum
         sums[b, 1] = found.diagonal_sum
         expansions[b] = found.expansions
         cells = with_capacity(cells, used, found.length)
-        write_cells(scratch.came_from, goal, lattice, cells[used : used + found.length])
+        write_cells(came_from, goal, found.length, lattice, cells, used)
         used += found.length
         offsets[b + 1] = used
         if len(maps) == 1 and not is_bfs:
             wipe(scratch, found.pushes)
-    return Solved(cells[:used], sums, expansions, offsets, count, EXACT)
+        done += 1
+    return Solved(cells[:used], sums, expansions, offsets, done, high_cost)
 
 
 @kernel
@@ -286,13 +300,13 @@ def solve_problem(
         return np.empty((0, 2), np.int64), -1, 0, 0, EXACT
     start = cell_at(start_row, start_column, lattice)
     goal = cell_at(goal_row, goal_column, lattice)
-    found = search_loaded(start, goal, weights, diagonals, None, lattice, scratch)
+    found = search_loaded(start, goal, weights, diagonals, None, None, lattice, scratch)
     path = np.empty((found.length, 2), np.int64)
-    write_cells(scratch.came_from, goal, lattice, path)
+    write_cells(scratch.came_from, goal, found.length, lattice, path, 0)
     return path, found.straight_sum, found.diagonal_sum, found.expansions, found.high_cost
 
 
-@kernel
+@inlined
 def _append_trace(
     optimal_moves: Bytes, start: Int, goal: Int, lattice: Lattice, cells: Ints, used: Int
 ) -> tuple[Ints, Int]:
@@ -351,26 +365,26 @@ def follow_goal_fields(
         leads to the goal.
     """
     count = len(starts)
-    optimal_moves = scratch.came_from
+    shape = maps.shape[1:]
+    came_from = scratch.came_from
     sums = np.empty((count, 2), np.int64)
     field_sizes = np.empty(count, np.int64)
-    offsets = np.zeros(count + 1, np.int64)
+    offsets = np.empty(count + 1, np.int64)
     cells = np.empty((64 * count + 64, 2), np.int64)
+    offsets[0] = 0
     used = 0
+    done = 0
+    high_cost = EXACT
     for b in range(count):
         map_ = maps[b if len(maps) > 1 else 0]
-        is_valid, ground = load_map(map_, cell_costs, lattice, scratch.came_from)
-        if (
-            not is_valid
-            or not is_usable_end(starts[b], maps.shape[1:], 0, lattice, scratch.came_from)
-            or not is_usable_end(goals[b], maps.shape[1:], 0, lattice, scratch.came_from)
-        ):
-            return Solved(cells, sums, field_sizes, offsets, b, EXACT)
-        start = cell_at(starts[b, 0], starts[b, 1], lattice)
-        goal = cell_at(goals[b, 0], goals[b, 1], lattice)
-        high_cost = shortest_costs_on(np.full(1, goal), ground, lattice, scratch)
+        is_valid, ground = load_map(map_, cell_costs, lattice, came_from)
+        start = cell_or_wall(starts[b, 0], starts[b, 1], *shape)
+        goal = cell_or_wall(goals[b, 0], goals[b, 1], *shape)
+        if not is_valid or came_from[start] == WALL or came_from[goal] == WALL:
+            break
+        high_cost = shortest_costs_on(only(goal), cell_costs, ground, lattice, scratch)
         if high_cost:
-            return Solved(cells, sums, field_sizes, offsets, b, high_cost)
+            break
         field_size = 0
         for k in range(lattice.cells):
             cost = scratch.g[np.uint64(k)]
@@ -380,9 +394,11 @@ def follow_goal_fields(
         sums[b, 1] = 0
         if scratch.g[start] < INFINITY:
             sums[b, 0], sums[b, 1] = sums_of_cost(scratch.g[start], ground)
-            cells, used = _append_trace(optimal_moves, start, goal, lattice, cells, used)
+            # After the search ``came_from`` holds the optimal moves.
+            cells, used = _append_trace(came_from, start, goal, lattice, cells, used)
         offsets[b + 1] = used
-    return Solved(cells[:used], sums, field_sizes, offsets, count, EXACT)
+        done += 1
+    return Solved(cells[:used], sums, field_sizes, offsets, done, high_cost)
 
 
 @kernel
@@ -415,8 +431,8 @@ def write_field(
     is_valid, ground = load_map(map_, cell_costs, lattice, scratch.came_from)
     if not is_valid:
         return False, EXACT
-    goal = np.full(1, cell_at(row, column, lattice))
-    high_cost = shortest_costs_on(goal, ground, lattice, scratch)
+    goal = only(cell_at(row, column, lattice))
+    high_cost = shortest_costs_on(goal, cell_costs, ground, lattice, scratch)
     if high_cost:
         return True, high_cost
     unit = unit_of(ground)

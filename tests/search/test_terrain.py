@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from math import isqrt, sqrt
+from types import SimpleNamespace
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -249,11 +250,11 @@ def test_the_kernel_reads_no_map_without_problems(has_terrain: bool) -> None:
     """As Python, where an index out of bounds is an error."""
     grids = np.zeros((0, 3, 4), np.uint8)
     no_cells = np.zeros((0, 2), np.int64)
-    memory = np.empty(2**12, np.uint8)
     ground = as_ground(grids, grids if has_terrain else None)
+    scratch = SimpleNamespace(came_from=np.empty(0, np.uint8))
     compiled: Any = solve_problems
     solved = compiled.py_func(
-        *ground, no_cells, no_cells, 0, ASTAR, None, move_rule(OCTILE), memory
+        *ground, no_cells, no_cells, 0, ASTAR, None, move_rule(OCTILE), scratch
     )
     assert (solved.done, solved.high_cost) == (0, 0)
 
