@@ -1528,7 +1528,9 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 FAULTS: dict[str, hostile.Member] = {
-    **{name: fault.member for name, fault in hostile.DATASETS.items()},
+    **{
+        name: fault.member for name, fault in hostile.DATASETS.items() if fault.dataset != "terrain"
+    },
     **hostile.ELSEWHERE,
 }
 

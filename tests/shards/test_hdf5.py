@@ -70,7 +70,10 @@ def test_kept_shards_read_as_by_h5py(path: Path) -> None:
 @pytest.mark.parametrize("name", sorted(PRESETS))
 def test_built_shards_read_as_by_h5py(name: str, movement: Movement, tmp_path: Path) -> None:
     """All presets, all rules of moving."""
-    generator = MapGenerator.from_dict({**PRESETS[name].to_dict(), "movement": asdict(movement)})
+    values = PRESETS[name].to_dict()
+    for part in (values, *values.get("parts", ())):  # a mixture moves as its parts do
+        part["movement"] = asdict(movement)
+    generator = MapGenerator.from_dict(values)
     manifest = build(tmp_path, generator, maps=2)
     assert_reads_as_h5py(tmp_path / manifest.shards[0].name)
 
