@@ -6,13 +6,13 @@
 The trainings are {maps of paper; of paper, narrow, maze, forest and noise; of the preset mixed} x
 {map and goal as planes, distances to the goal as planes and a prior}. All have the same network,
 target (`optimal_moves`), hard problems, number of problems and steps, and three seeds. Each network
-scores moves for `mapdata.evaluation.GuidedSearch`. FOLDER keeps the weights: run the command again
-to continue with the trainings that are missing. ``--cell`` and ``--seed`` take some of them alone.
-``--device cuda`` trains on a GPU.
+scores moves for `mapdata.evaluation.GuidedSearch`. FOLDER keeps weights and rows: run the command
+again to continue with the trainings that are missing. ``--cell`` and ``--seed`` take some of them
+alone. ``--device cuda`` trains on a GPU.
 
 Every row is measured on problems of dungeon and cave, random and hard, of paper, and of the
 families "out" of the suite carry-over-1 at 64 x 64; with ``--maps FOLDER`` also on windows of the
-maps of robots and games in it, as docs/zero_shot.py cuts them.
+maps of robots in it, as docs/zero_shot.py cuts them.
 docs/carry_over_results.json gets the tables of `mapdata.evaluate`, whose differences are those from
 the guided search without a network on the same problems, with intervals of a paired bootstrap.
 
@@ -45,6 +45,7 @@ from zero_shot import grids_of, hard_problems
 from mapdata import OnlineMapDataset, Plan, ProblemSet, evaluate
 from mapdata.arrays import Bytes, Float32s, Ints
 from mapdata.evaluation import SUITES, GuidedSearch, Planner, classical, prior
+from mapdata.evaluation.suite import Part
 from mapdata.limits import Cell
 from mapdata.models import PathPredictor, fast_precision
 from mapdata.models.pretrained.geometry import legal_moves
@@ -275,12 +276,16 @@ def trained(options: argparse.Namespace) -> dict[str, Network]:
 # --- tables -------------------------------------------------------------------------------------
 
 
+def suite_parts() -> list[Part]:
+    """Return the parts of the suite whose families no training has, at 64 x 64."""
+    parts = SUITES["carry-over-1"]
+    return [part for part in parts if part.group == "out" and part.generator.map_size == (64, 64)]
+
+
 def test_sets(maps: Path | None) -> dict[str, ProblemSet]:
     """Return the sets of docs/problem_trainings.py and of the suite, and those of a folder."""
     sets = {name: searches.problems_of(name) for name in searches.TEST_SETS}
-    for part in SUITES["carry-over-1"]:
-        if part.group == "out" and part.generator.map_size == (64, 64):
-            sets[part.name] = part.problem_set()
+    sets |= {part.name: part.problem_set() for part in suite_parts()}
     for name, grid in {} if maps is None else grids_of(maps).items():
         windows = hard_problems(name, grid, MOVEMENT, 64, WINDOWS)
         if windows is not None:
@@ -302,42 +307,93 @@ def measured(rows: list[Planner], sets: dict[str, ProblemSet]) -> dict[str, Any]
     return tables
 
 
-def signed(row: dict[str, Any], metric: str) -> str:
-    """Return a difference with the ends of its interval."""
-    value, low, high = (row[f"{metric}_difference{end}"] for end in ("", "_low", "_high"))
-    return f"{value:+.2f} [{low:+.2f}, {high:+.2f}]"
+def measured_networks(
+    networks: dict[str, Network], sets: dict[str, ProblemSet], folder: Path
+) -> dict[str, Any]:
+    """Return the rows of the networks on each set, as `measured` does.
+
+    A file for each network in ``folder`` keeps its rows, so that a second call measures only what
+    is new.
+    """
+    no_network = next(one for one in classical(MOVEMENT) if one.name == NO_NETWORK)
+    tables: dict[str, Any] = {}
+    for name, network in networks.items():
+        file = folder / f"{name}.json"
+        kept = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+        if {of_set: kept[of_set]["hash"] for of_set in kept} != {
+            of_set: problems.content_hash for of_set, problems in sets.items()
+        }:
+            print(name, flush=True)
+            kept = measured([no_network, GuidedSearch(name, MOVEMENT, network.predict)], sets)
+            write_output(file, json.dumps(kept).encode())
+        for of_set, table in kept.items():
+            if of_set in tables:
+                tables[of_set]["rows"].append(table["rows"][1])
+            else:
+                tables[of_set] = table
+    return tables
+
+
+def columns_of(sets: dict[str, Any]) -> dict[str, list[str]]:
+    """Return the columns of the table of trainings: their titles, and the sets of each."""
+    suite = [part.name for part in suite_parts()]
+    known = [*searches.TEST_SETS, *suite]
+    columns = {name: [name] for name in searches.SHOWN_SETS}
+    columns["suite, out"] = suite
+    columns["robots' maps"] = [name for name in sets if name not in known]
+    measured_columns = {
+        title: [one for one in names if one in sets] for title, names in columns.items()
+    }
+    return {title: names for title, names in measured_columns.items() if names}
 
 
 def table_of(sets: dict[str, Any], metric: str) -> str:
-    """Return a table: a line for each planner, a column for each of the shown sets.
+    """Return a table: a line for each planner or cell of the trainings, a column for some sets.
 
-    The first line is the row without a network, with its figures; the others have the differences
-    from it.
+    The first line is the row without a network, with its figures. The others have the differences
+    from it: means over the sets of a column, and over the seeds of a training. In brackets are the
+    lowest and the highest end of the seeds' intervals, each the mean over the sets of the column.
     """
-    names = [name for name in searches.SHOWN_SETS if name in sets]
-    rows = {name: {row["planner"]: row for row in sets[name]["rows"]} for name in names}
+    columns = columns_of(sets)
+    rows = {name: {row["planner"]: row for row in sets[name]["rows"]} for name in sets}
+    lines = [["", *columns]]
     base = ["no network: " + ("optimal" if metric == "opt" else "expansions")]
-    lines = [["", *names]]
-    for name in names:
-        row = rows[name][NO_NETWORK]
-        half = (row[f"{metric}_high"] - row[f"{metric}_low"]) / 2
-        base.append(f"{row[metric]:.2f} ±{half:.2f}")
+    for names in columns.values():
+        base.append(f"{np.mean([rows[name][NO_NETWORK][metric] for name in names]):.2f}")
     lines.append(base)
-    for planner in rows[names[0]]:
-        if planner != NO_NETWORK:
-            lines.append([planner, *(signed(rows[name][planner], metric) for name in names)])
+    groups: dict[str, list[str]] = {}
+    for planner in rows[next(iter(sets))]:
+        cell, _, _ = planner.rpartition("-")
+        label = f"`{cell.replace('-', '`, ')}" if cell in CELLS else planner
+        groups.setdefault(label, []).append(planner)
+    del groups[NO_NETWORK]
+    for label, planners in groups.items():
+        line = [label]
+        for names in columns.values():
+            values, lows, highs = (
+                [
+                    np.mean([rows[name][planner][f"{metric}_difference{end}"] for name in names])
+                    for planner in planners
+                ]
+                for end in ("", "_low", "_high")
+            )
+            line.append(f"{np.mean(values):+.2f} [{min(lows):+.2f}, {max(highs):+.2f}]")
+        lines.append(line)
     return markdown(lines)
 
 
 def write(results: dict[str, Any], folder: Path) -> None:
-    """Write the results, and the tables of what needs no training into the page."""
+    """Write the results, and their tables into the page."""
     write_output(
         folder / "carry_over_results.json", (json.dumps(results, indent=1) + "\n").encode()
     )
-    sets = results.get("untrained", {}).get("sets")
     page = folder / "which_problems.md"
-    if sets and page.exists():
-        tables = {f"untrained-{metric}": table_of(sets, metric) for metric in METRICS}
+    tables = {
+        f"{kind}-{metric}": table_of(measurement["sets"], metric)
+        for kind, measurement in results.items()
+        for metric in METRICS
+    }
+    if page.exists():
         write_output(page, filled(page.read_text(encoding="utf-8"), tables).encode())
 
 
@@ -369,11 +425,7 @@ def main(arguments: list[str] | None = None) -> None:
         results["untrained"] = {"run": run, "sets": sets}
     elif options.weights is not None:
         networks = trained(options)
-        rows: list[Planner] = [one for one in classical(MOVEMENT) if one.name == NO_NETWORK]
-        rows += [
-            GuidedSearch(name, MOVEMENT, network.predict) for name, network in networks.items()
-        ]
-        sets = measured(rows, test_sets(options.maps))
+        sets = measured_networks(networks, test_sets(options.maps), options.weights)
         results["trained"] = {"run": run, "steps": options.steps, "sets": sets}
         for metric in METRICS:
             print(f"\n{metric}\n\n{table_of(sets, metric)}")

@@ -15,7 +15,7 @@ from helpers.pages import DOCS
 
 from mapdata import ProblemSet, astar, evaluate
 from mapdata.arrays import Bytes, Float32s, Ints
-from mapdata.evaluation import GuidedSearch, classical, prior
+from mapdata.evaluation import SUITES, GuidedSearch, classical, prior
 
 
 @pytest.fixture
@@ -41,9 +41,12 @@ def test_the_problems_are_those_of_the_other_tables_of_the_page(script: ModuleTy
     """So that the rows stand beside each other: the hashes agree."""
     ours = json.loads((DOCS / "carry_over_results.json").read_text())["untrained"]["sets"]
     others = json.loads((DOCS / "training_results.json").read_text())["sets"]
-    assert {name: others[name]["hash"] for name in ours} == {
-        name: of_set["hash"] for name, of_set in ours.items()
-    }
+    hashes = {name: of_set["hash"] for name, of_set in ours.items()}
+    parts = {part.name: part.content_hash for part in SUITES["carry-over-1"]}
+    expected = parts | {name: of_set["hash"] for name, of_set in others.items()}
+    assert set(others) < set(hashes)
+    common = set(hashes) & set(expected)
+    assert {name: expected[name] for name in common} == {name: hashes[name] for name in common}
 
 
 def test_scores_that_are_equal_leave_a_star_as_it_is(script: ModuleType) -> None:
@@ -113,6 +116,7 @@ def test_the_trainings_run_and_continue(
     for name, value in small.items():
         monkeypatch.setattr(script.searches, name, value)
     monkeypatch.setattr(script, "WINDOWS", 3)
+    monkeypatch.setattr(script, "SUITES", {"carry-over-1": SUITES["carry-over-1"][:0]})
     rows = ["." * 80] * 20 + ["." * 35 + "@" * 20 + "." * 25] * 40 + ["." * 80] * 20
     (tmp_path / "maps").mkdir()
     text = "\n".join(["type octile", "height 80", "width 80", "map", *rows])
@@ -122,7 +126,7 @@ def test_the_trainings_run_and_continue(
     script.main([*arguments, "--cell", "paper-raw", "--seed", "0"])
     script.main([*arguments, "--cell", "paper-raw", "--cell", "many-goal", "--seed", "0"])
     results = json.loads((tmp_path / "carry_over_results.json").read_text())["trained"]
-    assert results["steps"] == {"many-goal-0": 3, "paper-raw-0": 3}
+    assert results["steps"] == 3
     assert list(results["sets"]) == ["`cave`, hard", "hall"]
     for of_set in results["sets"].values():
         rows_of_set = {row["planner"]: row for row in of_set["rows"]}
