@@ -256,14 +256,18 @@ def _rebuild_section(name: str, manifest: Manifest, generator: MapGenerator) -> 
     command = f"mapdata build {shlex.quote(name)} --recipe recipe.json"
     if manifest.shard_size != 1000:
         command += f" --shard-size {manifest.shard_size}"
-    for part in (generator, *generator.inner_generators):
+    # Parts of a mixture may be of one family. Each family is named once, and each module.
+    families = {part.name: part for part in (generator, *generator.inner_generators)}
+    modules = []
+    for family, part in families.items():
         module = type(part).__module__
         if isinstance(part, UnknownFamily) or module == "__main__":
-            command += " --import MODULE"
-            text += f" Write the module that has the family {part.name} in place of MODULE."
+            modules.append("MODULE")
+            text += f" Write the module that has the family {family} in place of MODULE."
         elif not module.startswith("mapdata."):
-            command += f" --import {module}"
-            text += f" The module {module} has the family {part.name}."
+            modules.append(module)
+            text += f" The module {module} has the family {family}."
+    command += "".join(f" --import {module}" for module in dict.fromkeys(modules))
     lines = ("cat > recipe.json <<'END'", manifest.recipe(), "END", command)
     return Section("Make it again", text, code="\n".join(lines), language="sh")
 

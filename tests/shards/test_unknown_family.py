@@ -245,6 +245,16 @@ def test_the_command_imports_the_module_from_the_working_folder(
     assert "The module pillars has the family pillars." in card("more")
 
 
+def test_a_card_names_the_module_of_several_parts_once(known: Known, root: Path) -> None:
+    """Two parts of a mixture are of a family that somebody else wrote."""
+    part = json.loads(known.recipe)["spec"]
+    recipe = {"spec": {"generator": "mixture", "parts": [part, {**part, "side": 2}]}, "maps": 4}
+    (root.parent / "recipe.json").write_text(json.dumps(recipe), encoding="utf-8")
+    assert exit_code("build", "both", "--recipe", "recipe.json", "--import", "pillars") == 0
+    assert card("both").count("--import pillars") == 1
+    assert card("both").count("The module pillars has the family pillars.") == 1
+
+
 # --- a class that was changed since its maps were built ------------------------------------------
 
 CHANGES = {
