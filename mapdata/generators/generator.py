@@ -120,11 +120,11 @@ class MapGenerator(ABC):
     @property
     def inner_generators(self) -> list[MapGenerator]:
         """The generators that are parameters of this one, and theirs; most generators have none."""
-        found: list[MapGenerator] = []
+        generators: list[MapGenerator] = []
         for name in self.generator_parameters:
             for generator in _generators_of(getattr(self, name)):
-                found += [generator, *generator.inner_generators]
-        return found
+                generators += [generator, *generator.inner_generators]
+        return generators
 
     @property
     def format_version(self) -> int:
@@ -266,15 +266,15 @@ def with_generators(
     """
     converted = dict(values)
     for key in family.generator_parameters:
-        stated = values.get(key)
-        if family.name in _families_in(stated):
+        parameter = values.get(key)
+        if family.name in _families_in(parameter):
             raise ValueError(f"{key}: got the family {family.name!r} in itself, expected another")
-        if isinstance(stated, (list, tuple)):
+        if isinstance(parameter, (list, tuple)):
             converted[key] = tuple(
-                each if isinstance(each, MapGenerator) else generator_of(each) for each in stated
+                part if isinstance(part, MapGenerator) else generator_of(part) for part in parameter
             )
-        elif stated is not None and not isinstance(stated, MapGenerator):
-            converted[key] = generator_of(stated)
+        elif parameter is not None and not isinstance(parameter, MapGenerator):
+            converted[key] = generator_of(parameter)
     return converted
 
 
@@ -283,14 +283,14 @@ def _families_in(values: object) -> set[str]:
     families = set()
     waiting = [values]
     while waiting:
-        value = waiting.pop()
-        if isinstance(value, Mapping):
-            name = value.get("generator", ROOMS)
-            if isinstance(name, str):
-                families.add(name)
-            waiting += value.values()
-        elif isinstance(value, (list, tuple)):
-            waiting += value
+        nested = waiting.pop()
+        if isinstance(nested, Mapping):
+            family = nested.get("generator", ROOMS)
+            if isinstance(family, str):
+                families.add(family)
+            waiting += nested.values()
+        elif isinstance(nested, (list, tuple)):
+            waiting += nested
     return families
 
 
