@@ -44,8 +44,7 @@ from zero_shot import grids_of, hard_problems
 
 from mapdata import OnlineMapDataset, Plan, ProblemSet, evaluate
 from mapdata.arrays import Bytes, Float32s, Ints
-from mapdata.evaluation import SUITES, GuidedSearch, Planner, classical, prior
-from mapdata.evaluation.suite import Part
+from mapdata.evaluation import SUITES, GuidedSearch, Part, Planner, classical, prior
 from mapdata.limits import Cell
 from mapdata.models import PathPredictor, fast_precision
 from mapdata.models.pretrained.geometry import legal_moves
@@ -76,6 +75,7 @@ BATCH = 64
 
 HAS_BFLOAT16 = fast_precision() == "bf16-mixed"
 """Whether this processor has fast bfloat16. Trainings use it, measurements use float32."""
+
 METRICS = ("opt", "expansion_ratio")
 """The metrics of the tables; the file has all of `mapdata.evaluate`."""
 
@@ -245,31 +245,29 @@ def train(planes: str, problems: tuple[Tensor, ...], seed: int, steps: int) -> N
     return network.cpu().eval()
 
 
-def trained(options: argparse.Namespace) -> dict[str, Network]:
-    """Return the networks by the names of their files, trained where they are missing."""
-    options.weights.mkdir(parents=True, exist_ok=True)
+def trained(options: argparse.Namespace, folder: Path) -> dict[str, Network]:
+    """Return the networks that are asked for by name, trained where ``folder`` lacks them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    networks = {}
     for cell in options.cell:
         families, _, planes = cell.partition("-")
-        missing = [
-            seed for seed in options.seed if not (options.weights / f"{cell}-{seed}.pt").exists()
-        ]
-        if not missing:
-            continue
-        problems = tuple(
-            tensor.to(options.device)
-            for tensor in training_problems(FAMILIES[families], options.problems)
-        )
+        files = {seed: folder / f"{cell}-{seed}.pt" for seed in options.seed}
+        missing = [seed for seed, file in files.items() if not file.exists()]
+        if missing:
+            problems = tuple(
+                tensor.to(options.device)
+                for tensor in training_problems(FAMILIES[families], options.problems)
+            )
         for seed in missing:
             print(f"{cell}, seed {seed}", flush=True)
             began = time.process_time()
             network = train(planes, problems, seed, options.steps)
             print(f"  {(time.process_time() - began) / 60:.1f} minutes of a core", flush=True)
-            torch.save(network.state_dict(), options.weights / f"{cell}-{seed}.pt")
-    networks = {}
-    for file in sorted(options.weights.glob("*-*-*.pt")):
-        network = Network(file.stem.split("-")[1]).eval()
-        network.load_state_dict(torch.load(file, weights_only=True))
-        networks[file.stem] = network
+            files[seed].with_suffix(".json").unlink(missing_ok=True)  # the rows of older weights
+            torch.save(network.state_dict(), files[seed])
+        for file in files.values():
+            networks[file.stem] = Network(planes).eval()
+            networks[file.stem].load_state_dict(torch.load(file, weights_only=True))
     return networks
 
 
@@ -312,39 +310,38 @@ def measured_networks(
 ) -> dict[str, Any]:
     """Return the rows of the networks on each set, as `measured` does.
 
-    A file for each network in ``folder`` keeps its rows, so that a second call measures only what
-    is new.
+    A file in ``folder`` keeps the rows of each network, beside its weights, so that a second call
+    measures only what is new.
     """
     no_network = next(one for one in classical(MOVEMENT) if one.name == NO_NETWORK)
+    hashes = {name: problems.content_hash for name, problems in sets.items()}
     tables: dict[str, Any] = {}
-    for name, network in networks.items():
-        file = folder / f"{name}.json"
+    for planner, network in networks.items():
+        file = folder / f"{planner}.json"
         kept = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
-        if {of_set: kept[of_set]["hash"] for of_set in kept} != {
-            of_set: problems.content_hash for of_set, problems in sets.items()
-        }:
-            print(name, flush=True)
-            kept = measured([no_network, GuidedSearch(name, MOVEMENT, network.predict)], sets)
+        if {name: table["hash"] for name, table in kept.items()} != hashes:
+            print(planner, flush=True)
+            kept = measured([no_network, GuidedSearch(planner, MOVEMENT, network.predict)], sets)
             write_output(file, json.dumps(kept).encode())
-        for of_set, table in kept.items():
-            if of_set in tables:
-                tables[of_set]["rows"].append(table["rows"][1])
+        for name, table in kept.items():
+            if name in tables:
+                tables[name]["rows"].append(table["rows"][1])
             else:
-                tables[of_set] = table
+                tables[name] = table
     return tables
 
 
 def columns_of(sets: dict[str, Any]) -> dict[str, list[str]]:
-    """Return the columns of the table of trainings: their titles, and the sets of each."""
+    """Return the columns of a table: their titles, and which of the sets each is the mean of."""
     suite = [part.name for part in suite_parts()]
-    known = [*searches.TEST_SETS, *suite]
     columns = {name: [name] for name in searches.SHOWN_SETS}
     columns["suite, out"] = suite
-    columns["robots' maps"] = [name for name in sets if name not in known]
-    measured_columns = {
-        title: [one for one in names if one in sets] for title, names in columns.items()
+    columns["robots' maps"] = [name for name in sets if name not in (*searches.TEST_SETS, *suite)]
+    return {
+        title: shown
+        for title, names in columns.items()
+        if (shown := [name for name in names if name in sets])
     }
-    return {title: names for title, names in measured_columns.items() if names}
 
 
 def table_of(sets: dict[str, Any], metric: str) -> str:
@@ -424,8 +421,9 @@ def main(arguments: list[str] | None = None) -> None:
         sets = measured(untrained_planners(), test_sets(options.maps))
         results["untrained"] = {"run": run, "sets": sets}
     elif options.weights is not None:
-        networks = trained(options)
-        sets = measured_networks(networks, test_sets(options.maps), options.weights)
+        folder = options.weights / f"{options.steps}-steps"
+        networks = trained(options, folder)
+        sets = measured_networks(networks, test_sets(options.maps), folder)
         results["trained"] = {"run": run, "steps": options.steps, "sets": sets}
         for metric in METRICS:
             print(f"\n{metric}\n\n{table_of(sets, metric)}")

@@ -130,11 +130,20 @@ def test_the_trainings_run_and_continue(
     assert list(results["sets"]) == ["`cave`, hard", "hall"]
     for of_set in results["sets"].values():
         rows_of_set = {row["planner"]: row for row in of_set["rows"]}
-        assert list(rows_of_set) == [script.NO_NETWORK, "many-goal-0", "paper-raw-0"]
+        assert list(rows_of_set) == [script.NO_NETWORK, "paper-raw-0", "many-goal-0"]
         assert rows_of_set[script.NO_NETWORK]["opt_difference"] == 0
         row = rows_of_set["paper-raw-0"]
         low, high = row["opt_difference_low"], row["opt_difference_high"]
         assert low <= row["opt_difference"] <= high
+    # Weights of other numbers of steps, and cells that were not asked for, stay out.
+    script.main([*arguments, "--cell", "many-goal", "--seed", "0", "--steps", "2"])
+    results = json.loads((tmp_path / "carry_over_results.json").read_text())["trained"]
+    assert results["steps"] == 2
+    for of_set in results["sets"].values():
+        planners = [row["planner"] for row in of_set["rows"]]
+        assert planners == [script.NO_NETWORK, "many-goal-0"]
+    for steps in (2, 3):
+        assert (tmp_path / "weights" / f"{steps}-steps" / "many-goal-0.pt").exists()
 
 
 def test_the_guided_search_without_a_network_is_one_row(script: ModuleType) -> None:
