@@ -153,6 +153,14 @@ def test_a_source_is_recognised_by_its_files(kind: str, tmp_path: Path) -> None:
     assert recognise(named) == recognise(tmp_path) == SOURCES[kind].format
 
 
+def test_an_archive_that_no_format_can_open_is_refused(tmp_path: Path) -> None:
+    """Formats look into an .npz to recognise it. One that is damaged is of none of them."""
+    (tmp_path / "a.npz").write_bytes(b"PK\x03\x04 cut off")
+    assert recognise(tmp_path / "a.npz") == "images"  # which takes every .npz
+    with pytest.raises(FormatError, match=r"a\.npz: not a sound \.npz file"):
+        read_any(tmp_path / "a.npz")
+
+
 def test_what_no_format_recognises_is_refused(tmp_path: Path) -> None:
     """So are a file that is missing, and options of another format."""
     np.save(tmp_path / "stack.npy", np.zeros((2, 3, 4)))
