@@ -1,5 +1,5 @@
 """What holds for every test: one thread of torch, in subprocesses too, no judgement by the clock,
-and kernels that one of two processes compiles for both.
+and kernels and bytecode that one of two processes makes for both.
 """
 
 from __future__ import annotations
@@ -28,6 +28,11 @@ if TYPE_CHECKING:
 # hundred times slower.
 os.environ["OMP_NUM_THREADS"] = "1"
 os.environ["MKL_NUM_THREADS"] = "1"
+
+# What is compiled from Python, and the tests with the asserts that pytest writes anew, are kept as
+# pytest keeps its own cache, also where the environment asks Python not to write them (as in many
+# containers): making them takes half of the time in which the tests are read.
+sys.dont_write_bytecode = False
 
 # Python's collector of cyclic garbage would look at all modules and tests again and again while
 # they are read, which takes a fifth of that time.
@@ -62,11 +67,18 @@ def pytest_configure(config: pytest.Config) -> None:
     """Measure CPU seconds, if they are asked for, and share kernels with the rest of the run."""
     if count := config.getoption("--cpu"):
         config.pluginmanager.register(CpuTimes(count))
-    is_one_of_several = "PYTEST_XDIST_WORKER" in os.environ
-    if is_one_of_several and config.cache and sys.platform != "win32":  # which has no such locks
+    if folder := folder_of_locks(config):
         from helpers.kernels import share_compiling
 
-        share_compiling(config.cache.mkdir("kernels"))
+        share_compiling(folder)
+
+
+def folder_of_locks(config: pytest.Config) -> Path | None:
+    """Return where the processes of a run wait for each other; None if there is only one."""
+    is_one_of_several = "PYTEST_XDIST_WORKER" in os.environ
+    if is_one_of_several and config.cache and sys.platform != "win32":  # which has no such locks
+        return config.cache.mkdir("locks")
+    return None
 
 
 @pytest.hookimpl(wrapper=True)
@@ -86,6 +98,20 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             if tries_examples(item):
                 item.add_marker("slow")
     mark_further_combinations(items)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """Read each file in one of several processes first; the others then find its bytecode."""
+    folder = folder_of_locks(collector.config)
+    if folder is None or not isinstance(collector, pytest.Module):
+        return (yield)
+    from helpers.locks import lock
+
+    with lock(folder / f"{collector.nodeid.replace('/', '.')}.lock"):
+        return (yield)
 
 
 def pytest_collection_finish() -> None:

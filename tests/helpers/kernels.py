@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import fcntl
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
+
+from helpers.locks import lock
 
 
 def share_compiling(folder: Path) -> None:
@@ -31,7 +30,7 @@ def share_compiling(folder: Path) -> None:
         if not name.startswith("mapdata.") or name in held:
             return compile_kernel(self, signature)
         # numba's own lock comes first: two threads could wait for each other otherwise.
-        with global_compiler_lock, _lock(folder / f"{name}.lock"):
+        with global_compiler_lock, lock(folder / f"{name}.lock"):
             held.add(name)
             try:
                 return compile_kernel(self, signature)
@@ -39,11 +38,3 @@ def share_compiling(folder: Path) -> None:
                 held.remove(name)
 
     setattr(Dispatcher, "compile", compile_once)  # noqa: B010  (mypy refuses an assignment)
-
-
-@contextmanager
-def _lock(path: Path) -> Iterator[None]:
-    """Hold a lock between processes."""
-    with open(path, "w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)  # closing the file gives it back
-        yield
