@@ -352,6 +352,27 @@ def test_arrays_are_imported(tmp_path: Path) -> None:
         read(tmp_path / "b.npy", array="b")
 
 
+@pytest.mark.parametrize(
+    ("shape", "line"),
+    [
+        ((2, 4, 5, 3), "values[..., :3].mean(axis=-1) < 128"),
+        ((2, 4, 5, 4), "values[..., :3].mean(axis=-1) < 128"),
+        ((20,), "values.reshape(rows, columns)"),
+    ],
+)
+def test_an_array_of_another_shape_is_refused_with_the_line_that_helps(
+    shape: tuple[int, ...], line: str, tmp_path: Path
+) -> None:
+    """What the line makes of the array is read."""
+    values = np.random.default_rng(0).integers(0, 2, shape)
+    np.save(tmp_path / "a.npy", values)
+    ((_, complaint),) = read(tmp_path).left_out
+    assert line in complaint
+    made = eval(line, {"values": values, "rows": 4, "columns": 5})
+    np.save(tmp_path / "a.npy", made)
+    assert grids(tmp_path) == made.reshape(-1, 4, 5).astype(int).tolist()
+
+
 def test_folders_give_splits_and_names_give_the_order(tmp_path: Path) -> None:
     """The map map2 comes before map10; hidden and linked folders are not read."""
     for k, folder in enumerate(("Train", "validation", "test/deep", ".hidden")):
