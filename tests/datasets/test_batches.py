@@ -318,19 +318,24 @@ def test_a_shard_of_other_maps_is_refused(tmp_path: Path) -> None:
             dataset[0]
 
 
-def test_a_seed_in_a_wall_is_named(tmp_path: Path) -> None:
-    """A map whose cells say otherwise than its labels: the shard and the map are named."""
+@pytest.mark.parametrize("place_in_byte", range(8))
+def test_a_seed_in_a_wall_is_named(place_in_byte: int, tmp_path: Path) -> None:
+    """A map whose cells say otherwise than its labels: the shard and the map are named, wherever
+    the bit of the cell is in its byte.
+    """
     root = tmp_path / "root"
-    build(root, TINY, maps=4, seed=3, shard_size=4)
+    build(root, "paper", maps=10, seed=3)
     path = next(root.glob("*.h5"))
     shard = open_shard(path)
-    image, maps = bytearray(path.read_bytes()), shard.arrays["maps"]
-    place = path.read_bytes().find(maps.tobytes())
-    image[place : place + maps.nbytes] = b"\xff" * maps.nbytes
-    publish(root, path.name, bytes(image))
-    with pytest.raises(
-        ShardError, match=r"maps-\d+-\d+\.h5: a seed point of map 0 is on an occupied cell"
-    ):
+    maps, columns = shard.arrays["maps"], shard.arrays["seeds"][:, 1]
+    seed = int(np.flatnonzero(columns % 8 == place_in_byte)[0])
+    map_number = int(np.searchsorted(shard.arrays["room_offsets"], seed, side="right")) - 1
+    changed = maps.copy()
+    row, column = shard.arrays["seeds"][seed].tolist()
+    changed[map_number, row, column // 8] |= 1 << place_in_byte
+    publish(root, path.name, path.read_bytes().replace(maps.tobytes(), changed.tobytes()))
+    message = rf"maps-\d+-\d+\.h5: a seed point of map {map_number} is on an occupied cell"
+    with pytest.raises(ShardError, match=message):
         MapDataset(root, problems="pairs")[0]
 
 

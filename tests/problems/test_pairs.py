@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 from helpers.specs import movements
@@ -59,3 +61,42 @@ def test_pairs_are_solved_by_astar(
             np.testing.assert_array_equal(path, expected.path)
             assert (costs[b], solved.expansions[b]) == expected[1:]
     np.testing.assert_array_equal(drawn[0], drawn[1])
+
+
+@pytest.mark.parametrize("only_route", [False, True])
+def test_a_pair_without_a_path_gives_way_to_the_next_one(only_route: bool) -> None:
+    """From the drawn pair on, pairs are tried in their order, and then from the first one on."""
+    source = np.random.default_rng(4)
+    grids = (source.random((COUNT, 9, 9)) < 0.45).astype(np.uint8)
+    cells = np.stack([source.permutation(81)[:5] for _ in range(COUNT)])
+    seed_points = np.stack(np.divmod(cells, 9), axis=-1)
+    first, served = (
+        solve_pairs(
+            MapStack(grids, None),
+            seed_points,
+            np.full(COUNT, 5),
+            np.uint64(5),
+            2,
+            np.arange(COUNT),
+            only_route,
+            keep_unsolvable,
+            ASTAR,
+            move_rule(Movement(4)),
+        )[0]
+        for keep_unsolvable in (True, False)
+    )
+    pairs = [(i, i + 1) for i in range(4)] if only_route else list(combinations(range(5), 2))
+    skipped = set()
+    for b in range(COUNT):
+        ends = [(*seed_points[b, i].tolist(), *seed_points[b, j].tolist()) for i, j in pairs]
+        number = ends.index(tuple(first[b].tolist()))
+        has_path = [
+            not (grids[b][one[:2]] or grids[b][one[2:]])
+            and len(astar(grids[b], one[:2], one[2:], Movement(4)).path) > 0
+            for one in ends
+        ]
+        tried = [*range(number, len(ends)), *range(number)]
+        found = [k for k in tried if has_path[k]]
+        skipped.add(tried.index(found[0]) if found else -1)
+        assert tuple(served[b].tolist()) == (ends[found[0]] if found else (-1, -1, -1, -1))
+    assert skipped > {-1, 0, 1}
