@@ -8,14 +8,14 @@
     python docs/planner_tables.py --sample FILE             the sample of models/path_predictor.py
                                                             alone, with its weights in FILE
     python docs/planner_tables.py --pages                   the tables again, measuring nothing
-    python docs/planner_tables.py --transfer                small networks of one family each;
-                                                            with --pages their table alone
+    python docs/planner_tables.py --transfer                small networks of one family each,
+                                                            and of all but one: an hour
     python docs/planner_tables.py --file FILE --weights FILE --baseline ROW    problems of others
 
 Each set is a recipe: one problem on each map of seed 77, until so many are hard. All figures are
 kept in docs/planner_results.json, set by set, so that a run that is stopped loses one set at most;
-planner_results.py says what stands in it. The tables between the marks of docs/planners.md are made
-from it.
+planner_results.py says what stands in it. The tables between the marks of docs/planners.md, and
+those of --transfer in docs/which_problems.md, are made from it.
 
 `--add` measures a planner of your own alone and puts its row beside the others. NAME of
 MODULE:NAME is a planner, or a class or function that takes a `mapdata.Movement` and returns one.
@@ -409,7 +409,7 @@ def trained_on(names: list[str], steps: int) -> PathPredictor:
 
 def trainings() -> dict[str, list[str]]:
     """Return the families of each training of the table of transfer."""
-    families = {name: [name] for name in TRANSFER_SETS}
+    families = {name: [name] for name in ("paper", *TRANSFER_SETS)}
     families["all five"] = list(TRANSFER_SETS)
     families["all but maze"] = [name for name in TRANSFER_SETS if name != "maze"]
     families["all but cave"] = [name for name in TRANSFER_SETS if name != "cave"]
@@ -417,12 +417,15 @@ def trainings() -> dict[str, list[str]]:
 
 
 def transfer(results: Results, path: Path, steps: int, command: str) -> None:
-    """Train networks on a family each, on all, and on all but one, and measure them on all sets."""
+    """Train networks on a family each, on all, and on all but one, and measure them on all sets,
+    beside the same search without a network.
+    """
+    without = [one for one in classical() if one.name == NO_NETWORK]
     for training, names in trainings().items():
         model = trained_on(names, steps)
         search = GuidedSearch(trained_name(training), model.movement, model.predict)
         for name in TRANSFER_SETS.values():
-            measure(results, name, [search], command)
+            measure(results, name, [*without, search], command, [search.name])
         results.write(path)
 
 
@@ -536,10 +539,12 @@ def summary(results: Results, names: Iterable[str]) -> str:
     return markdown(rows)
 
 
-def with_ends(row: dict[str, Any], metric: str) -> str:
-    """Return a difference of a row with the ends of its interval."""
-    value, low, high = (row[f"{metric}_difference{end}"] for end in ("", "_low", "_high"))
-    return f"{value:+.3f} [{low:+.3f}, {high:+.3f}]"
+def with_ends(row: dict[str, Any] | None, metric: str, digits: int = 3) -> str:
+    """Return a difference of a row with the ends of its interval, or a dash without a row."""
+    if row is None:
+        return "-"
+    ends = [f"{row[f'{metric}_difference{end}']:+.{digits}f}" for end in ("", "_low", "_high")]
+    return f"{ends[0]} [{ends[1]}, {ends[2]}]"
 
 
 def table_of_differences(results: Results, names: Iterable[str]) -> str:
@@ -589,16 +594,27 @@ def table_of_sample(results: Results) -> str:
     return markdown(rows)
 
 
-def table_of_transfer(results: Results) -> str:
-    """Return Hmean of networks trained on some families, on the sets of all families."""
-    rows = [["trained on", *TRANSFER_SETS]]
-    hmeans = {(row["planner"], row["set"]): row["hmean"] for row in results.rows}
-    planners = {"no network": NO_NETWORK} | {name: trained_name(name) for name in trainings()}
-    for title, planner in planners.items():
-        rows.append(
-            [title, *(cell(hmeans.get((planner, name))) for name in TRANSFER_SETS.values())]
-        )
-    return markdown(rows)
+def tables_of_transfer(results: Results) -> dict[str, str]:
+    """Return what networks that were trained on some families add, on the sets of all families.
+
+    One table has the share of optimal paths, the other the expansions. The first row of each is
+    that of no network; the others are differences from it on the same problems.
+    """
+    tables = {}
+    for metric, words in (("opt", "optimal"), ("expansion_ratio", "expansions")):
+        without = [results.rows_of(name).get(NO_NETWORK) for name in TRANSFER_SETS.values()]
+        rows = [
+            ["trained on", *TRANSFER_SETS],
+            [f"no network: {words}", *(cell(row[metric] if row else None, 2) for row in without)],
+        ]
+        for training in trainings():
+            differences = [
+                results.difference_of(name, trained_name(training))
+                for name in TRANSFER_SETS.values()
+            ]
+            rows.append([training, *(with_ends(row, metric, 2) for row in differences)])
+        tables[f"transfer-{metric}"] = markdown(rows)
+    return tables
 
 
 def filled(page: str, tables: dict[str, str]) -> str:
@@ -615,8 +631,7 @@ def filled(page: str, tables: dict[str, str]) -> str:
 
 
 def write_pages(results: Results, folder: Path) -> None:
-    """Write the tables of planners.md of a folder."""
-    page = folder / "planners.md"
+    """Write the tables of planners.md and which_problems.md of a folder."""
     windows = [name for name in results.sets if re.search(r"(?<!-cut)-windows$", name)]
     tables = {
         "summary": summary(results, [name for name in FIRST_SETS if name in results.sets]),
@@ -628,7 +643,12 @@ def write_pages(results: Results, folder: Path) -> None:
     for name in results.sets:
         if name not in SETS:
             tables[name] = short_table(results, name)
-    write_output(page, filled(page.read_text(encoding="utf-8"), tables).encode())
+    for name, its_tables in (
+        ("planners.md", tables),
+        ("which_problems.md", tables_of_transfer(results)),
+    ):
+        page = folder / name
+        write_output(page, filled(page.read_text(encoding="utf-8"), its_tables).encode())
 
 
 def words_of(arguments: Sequence[str]) -> list[str]:
@@ -669,7 +689,7 @@ def measure_what_is_asked(
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Measure what the command line says, and write the results and the tables of planners.md."""
+    """Measure what the command line says, and write the results and the tables of the pages."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -689,9 +709,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--file", help="problems of others: a .scen, or an .npz")
     parser.add_argument("--weights", action="append", default=[], help="networks for --file")
     parser.add_argument("--baseline", help="row of --file whose expansions count as 1")
-    parser.add_argument(
-        "--folder", type=Path, default=DOCS, help="of the results and of planners.md"
-    )
+    parser.add_argument("--folder", type=Path, default=DOCS, help="of the results and the pages")
     options = parser.parse_args(arguments)
     warnings.simplefilter("ignore")
     torch.set_num_threads(1)
@@ -700,8 +718,6 @@ def main(arguments: list[str] | None = None) -> None:
     command = " ".join(["python docs/planner_tables.py", *words_of(arguments or sys.argv[1:])])
     if not options.pages:
         measure_what_is_asked(options, results, path, command)
-    if options.transfer:
-        print(table_of_transfer(results))
     results.write(path)
     write_pages(results, options.folder)
 

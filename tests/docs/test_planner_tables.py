@@ -58,6 +58,7 @@ def tables(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> ModuleType:
     (tmp_path / "my_module.py").write_text(OWN_PLANNER)
     page = "<!-- table differences -->\nold\n<!-- end -->\nb\n"
     (tmp_path / "planners.md").write_text(page)
+    (tmp_path / "which_problems.md").touch()
     return planner_tables
 
 
@@ -228,7 +229,7 @@ def test_the_page_is_made_from_the_file_of_results(
     monkeypatch.syspath_prepend(str(DOCS))
     import planner_tables
 
-    names = ("planner_results.json", "planners.md")
+    names = ("planner_results.json", "planners.md", "which_problems.md")
     for name in names:
         shutil.copy(DOCS / name, tmp_path / name)
     planner_tables.main(["--pages", "--folder", str(tmp_path)])
@@ -236,24 +237,29 @@ def test_the_page_is_made_from_the_file_of_results(
         assert (tmp_path / name).read_text() == (DOCS / name).read_text(), name
 
 
-def test_the_table_of_transfer_is_printed(
-    tables: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_the_tables_of_transfer_are_differences_from_no_network(
+    tables: ModuleType, tmp_path: Path
 ) -> None:
-    """From the file of results, without a training: Hmean of each network on each family."""
+    """From the file of results, without a training: each network beside none, on each family."""
     shutil.copy(DOCS / "planner_results.json", tmp_path)
-    tables.main(["--transfer", "--pages", "--folder", str(tmp_path)])
-    head, _, *lines = capsys.readouterr().out.splitlines()
+    (tmp_path / "which_problems.md").write_text("<!-- table transfer-opt -->\nold\n<!-- end -->\n")
+    tables.main(["--pages", "--folder", str(tmp_path)])
+    page = (tmp_path / "which_problems.md").read_text()
+    head, _, first, *lines = [line for line in page.splitlines() if line.startswith("|")]
     families = [cell.strip() for cell in head.split("|")[2:-1]]
-    hmeans = {
-        (row["planner"], row["set"]): row["hmean"]
-        for row in json.loads((DOCS / "planner_results.json").read_text())["rows"]
-    }
+    document = json.loads((DOCS / "planner_results.json").read_text())
+    opts = {(row["planner"], row["set"]): row["opt"] for row in document["rows"]}
+    sets = [tables.TRANSFER_SETS[family] for family in families]
+    without = [opts[tables.NO_NETWORK, name] for name in sets]
+    assert first.split("|")[1:-1] == [" no network: optimal ", *(f" {opt:.2f} " for opt in without)]
     assert len(lines) == 9
     for line in lines:
-        name, *cells = (cell.strip() for cell in line.split("|")[1:-1])
-        planner = tables.NO_NETWORK if name == "no network" else f"small network trained on {name}"
-        for family, cell in zip(families, cells, strict=True):
-            assert cell == f"{hmeans[planner, tables.TRANSFER_SETS[family]]:.3f}"
+        training, *cells = (cell.strip() for cell in line.split("|")[1:-1])
+        for name, opt, cell in zip(sets, without, cells, strict=True):
+            difference = opts[f"small network trained on {training}", name] - opt
+            value, low, high = map(float, re.findall(r"[-+][\d.]+", cell))
+            assert value == pytest.approx(difference, abs=0.0051)
+            assert low <= value <= high
 
 
 def test_windows_of_maps_give_hard_problems(tables: ModuleType, tmp_path: Path) -> None:
