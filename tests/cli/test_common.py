@@ -1,8 +1,13 @@
-"""What all command lines share: a flag that is given twice loses no value silently."""
+"""What all command lines share: a flag that is given twice loses no value silently, and a pipe that
+its reader has closed ends the command without a word.
+"""
 
 from __future__ import annotations
 
 import argparse
+import os
+import subprocess
+import sys
 from contextlib import suppress
 
 import pytest
@@ -65,3 +70,19 @@ def test_numbers_and_names_that_are_given_twice_are_kept() -> None:
     assert arguments.planner == ["m:A", "m:B"]
     assert arguments.problems == ["dungeon"]
     assert arguments.modules == ["a", "b"]
+
+
+def test_a_pipe_that_is_closed_ends_the_command_without_a_word() -> None:
+    """As in `mapdata list | head -1`: the shell's code for it, and no traceback."""
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    command = [sys.executable, "-m", "mapdata", "list"]
+    buffered = {
+        **os.environ,
+        "PYTHONUNBUFFERED": "",
+    }  # as in a shell: Python writes at its exit, too
+    done = subprocess.run(
+        command, stdout=write_end, stderr=subprocess.PIPE, env=buffered, check=False
+    )
+    os.close(write_end)
+    assert (done.returncode, done.stderr) == (141, b"")
