@@ -237,26 +237,31 @@ def test_the_page_is_made_from_the_file_of_results(
         assert (tmp_path / name).read_text() == (DOCS / name).read_text(), name
 
 
+@pytest.mark.parametrize(
+    ("metric", "heading"), [("opt", "optimal"), ("expansion_ratio", "expansions")]
+)
 def test_the_tables_of_transfer_are_differences_from_no_network(
-    tables: ModuleType, tmp_path: Path
+    metric: str, heading: str, tables: ModuleType, tmp_path: Path
 ) -> None:
     """From the file of results, without a training: each network beside none, on each family."""
     shutil.copy(DOCS / "planner_results.json", tmp_path)
-    (tmp_path / "which_problems.md").write_text("<!-- table transfer-opt -->\nold\n<!-- end -->\n")
+    mark = f"<!-- table transfer-{metric} -->\nold\n<!-- end -->\n"
+    (tmp_path / "which_problems.md").write_text(mark)
     tables.main(["--pages", "--folder", str(tmp_path)])
     page = (tmp_path / "which_problems.md").read_text()
     head, _, first, *lines = [line for line in page.splitlines() if line.startswith("|")]
     families = [cell.strip() for cell in head.split("|")[2:-1]]
     document = json.loads((DOCS / "planner_results.json").read_text())
-    opts = {(row["planner"], row["set"]): row["opt"] for row in document["rows"]}
+    measured = {(row["planner"], row["set"]): row[metric] for row in document["rows"]}
     sets = [tables.TRANSFER_SETS[family] for family in families]
-    without = [opts[tables.NO_NETWORK, name] for name in sets]
-    assert first.split("|")[1:-1] == [" no network: optimal ", *(f" {opt:.2f} " for opt in without)]
+    without = [measured[tables.NO_NETWORK, name] for name in sets]
+    cells = [f" {number:.2f} " for number in without]
+    assert first.split("|")[1:-1] == [f" no network: {heading} ", *cells]
     assert len(lines) == 9
     for line in lines:
         training, *cells = (cell.strip() for cell in line.split("|")[1:-1])
-        for name, opt, cell in zip(sets, without, cells, strict=True):
-            difference = opts[f"small network trained on {training}", name] - opt
+        for name, base, cell in zip(sets, without, cells, strict=True):
+            difference = measured[f"small network trained on {training}", name] - base
             value, low, high = map(float, re.findall(r"[-+][\d.]+", cell))
             assert value == pytest.approx(difference, abs=0.0051)
             assert low <= value <= high
